@@ -1,0 +1,205 @@
+"""Back-projection: the exact sum over pings and channels, kept within a stated relative error.
+
+This module checks what comes in, carries out a plan's choices on the engine and writes the report. Choices are made in
+planner.py, arithmetic in engine/.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks, engine, planner
+from pysas._checks import ComplexArray, FloatArray
+from pysas.echoes import Echoes
+from pysas.engine import BLOCK, preparation, summation
+from pysas.engine.summation import Survey, Tile
+from pysas.grid import Grid
+from pysas.image import Image, Report
+from pysas.scene import lines
+
+
+def backproject(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    weights: npt.ArrayLike | None = None,
+    nan: str = "raise",
+    out: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """Sum s(tau) exp(+2j pi fc tau) over pings and channels at every pixel of `grid`.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Range-compressed echoes; any track and array, moving receivers included.
+    grid : Grid
+    tol : float
+        Relative error that is kept: ||I - I_exact||_2 <= tol max(||I_exact||_2, ||R||_2) over the grid, where I_exact is
+        `pysas.reference.exact` and R the incoherent level it returns. complex64: 1e-1 to 1e-5; complex128: down to
+        max(1e-10, 1e-14 range/wavelength).
+    threads : int, optional
+        Worker threads; default PYSAS_NUM_THREADS, else all processors. The image is the same for any number.
+    backend : {"auto", "numba", "cpp"}
+    weights : (ping,) or (ping, channel) array_like, optional
+        Real or complex factors of the terms; 0 leaves a trace out.
+    nan : {"raise", "mask"}
+        Traces that hold non-finite samples: an error, or left out of the sum.
+    out : complex array of grid.shape, optional
+        Filled in place and returned as the image's data; of the data's dtype.
+    progress : callable, optional
+        Called now and then from the calling thread with the share done, 0 to 1.
+
+    Returns
+    -------
+    Image
+        Of the data's dtype; `image.report` says what was done.
+
+    Raises
+    ------
+    ValueError
+        Raw or under-sampled echoes, a `tol` that cannot be met, non-finite samples, wrong shapes.
+    TypeError
+        Wrong types or dtypes.
+
+    Notes
+    -----
+    O(pings channels pixels) after O(pings channels samples log samples); memory beyond input and image about 25 MB.
+    A grid wholly outside the recorded window warns and returns zeros.
+    """
+    if isinstance(echoes, Echoes) and isinstance(grid, Grid):
+        _check_out(out, grid, echoes.dtype)
+    plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
+    return plan(echoes.data, out, progress)
+
+
+def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexfloating]) -> None:
+    if out is None:
+        return
+    if not isinstance(out, np.ndarray) or out.dtype != dtype:
+        found = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
+        raise TypeError(f"out: expected an array of {dtype}, found {found}")
+    if out.shape != grid.shape:
+        raise ValueError(f"out: expected the grid's shape {grid.shape}, found {out.shape}")
+    if not out.flags.writeable:
+        raise ValueError("out: expected a writeable array, found a read-only one")
+
+
+def execute(
+    plan: planner.Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None
+) -> Image:
+    """Carry out `plan` on `data`; what `Plan.__call__` does."""
+    scene, choices, grid = plan.scene, plan.choices, plan.grid
+    samples = _checks.samples("data", data, (2, 3))
+    if samples.shape != plan.data_shape:
+        raise ValueError(f"data: expected the planned shape {plan.data_shape}, found {samples.shape}")
+    if samples.dtype.itemsize != plan.dtype.itemsize:
+        raise TypeError(f"data: expected {plan.dtype}, found {samples.dtype}")
+    _check_out(out, grid, plan.dtype)
+    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else out
+    image[...] = 0
+    notes = [] if scene.heard.any() else [scene.why_silent()]
+
+    peak, bad = summation.largest(samples, plan.threads)
+    used = scene.heard.copy()
+    if bad:
+        if plan.nan == "raise":
+            ping, channel = bad[0]
+            raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
+        channels = samples.shape[1] if samples.ndim == 3 else 1
+        used[[ping * channels + channel for ping, channel in bad]] = False
+        notes.append(f"{len(bad)} of {scene.traces} traces left out: non-finite samples")
+    scale = float(2.0 ** np.frexp(peak)[1]) if 0 < peak < np.inf else 1.0
+    if scene.weights is not None:
+        used &= scene.weights != 0
+        largest = float(np.max(np.abs(scene.weights[used]), initial=0.0))
+        if largest > 0:
+            scale *= float(2.0 ** np.frexp(largest)[1])
+    order = np.flatnonzero(used)
+
+    geometry = scene.geometry[order]
+    start = scene.first[order] - 1 - choices.margin if choices.taper else np.zeros(order.size, dtype=np.int64)
+    geometry[:, 13] = start
+    weights = None if scene.weights is None else scene.weights[order]
+    near = choices.near if choices.block else np.inf
+    model = np.array(
+        [scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near], dtype=np.float64
+    )
+    real = np.dtype(choices.precision)
+    reader = preparation.interpolator(
+        choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta,
+        np.complex64 if real == np.float32 else np.complex128,
+    )  # fmt: skip
+    frame = _Frame(grid, scene.origin, choices.block)
+    totals = summation.Totals(0.0, 0.0, 0)
+    if order.size:
+        flat = image.reshape(frame.shape) if image.flags.c_contiguous else np.zeros(frame.shape, dtype=plan.dtype)
+        totals = summation.accumulate(
+            samples, order, Survey(geometry, start, weights, scene.kind, model), reader, scale, frame.tiles(), frame.locate,
+            frame.straight, frame.count, planner.trigonometry(choices.trigonometry)[0], real, choices.batch, flat,
+            plan.threads, progress,
+        )  # fmt: skip
+        flat *= scale
+        if not image.flags.c_contiguous:
+            image[...] = flat.reshape(grid.shape)
+        if grid.mask is not None:
+            image[~grid.mask] = 0
+    if progress is not None:
+        progress(1.0)
+    everything = scene.traces * grid.size
+    report = Report(
+        method="backprojection", tol=plan.tol, backend=plan.backend, isa=engine.processor(), threads=plan.threads,
+        prepare_seconds=totals.prepare_seconds, sum_seconds=totals.sum_seconds, terms=totals.terms,
+        share_left_out=1 - totals.terms / everything, predicted_error=choices.predicted_error,
+        choices=planner.as_report(choices), notes=tuple(notes),
+    )  # fmt: skip
+    return Image(image, grid, report, scene.fc, scene.c)
+
+
+class _Frame:
+    """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels."""
+
+    def __init__(self, grid: Grid, origin: FloatArray, block: int) -> None:
+        self.grid, self.origin = grid, origin
+        found = lines(grid) if block else None
+        self.straight = found is not None
+        if found is not None:
+            self.first, self.step = found[0] - origin, found[1]
+            self.shape = (len(self.first), grid.shape[-1])
+            self.count = block
+        else:
+            self.shape = (1, grid.size)
+            self.count = min(BLOCK, grid.size)
+        self.mask = None if grid.mask is None else grid.mask.reshape(self.shape)
+
+    def tiles(self) -> list[Tile]:
+        """All tiles, near neighbours first."""
+        height, width = self.shape
+        rows, columns = (planner.ROWS, self.count) if self.straight else (1, planner.ROWS * self.count)
+        return [
+            Tile(top, min(top + rows, height), left, min(left + columns, width))
+            for top in range(0, height, rows)
+            for left in range(0, width, columns)
+        ]
+
+    def locate(self, tile: Tile) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        """Coordinates, blocks and active rows of a tile, as `_numba.sum_tile` takes them."""
+        if self.straight:
+            step = self.step[tile.first : tile.last]
+            blocks = np.concatenate([self.first[tile.first : tile.last] + tile.left * step, step], axis=1)
+            if self.mask is None:
+                return np.empty((0, 3)), blocks, np.ones(len(blocks), dtype=np.bool_)
+            return np.empty((0, 3)), blocks, self.mask[tile.first : tile.last, tile.left : tile.right].any(axis=1)
+        pixels = np.arange(tile.left, tile.right)
+        rows = -(-pixels.size // self.count)
+        padded = np.minimum(tile.left + np.arange(rows * self.count), tile.right - 1)
+        coords = self.grid.coordinates(padded) - self.origin
+        active: npt.NDArray[np.bool_] = np.ones(rows, dtype=np.bool_)
+        if self.mask is not None:
+            active = np.asarray(self.mask[0, padded].reshape(rows, self.count).any(axis=1))
+        return coords, np.zeros((rows, 6)), active

@@ -1,0 +1,283 @@
+"""Echoes: the recorded samples of every ping and channel with the geometry and sampling they need, and Beam.
+
+This is the border where navigation and sampling are checked; the engines trust it. Samples are kept as given (any
+stride or byte order, never copied) and looked at only when used, so a record may hold non-finite samples.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+from pysas._checks import ComplexArray, FloatArray
+from pysas.pulse import LFM
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """Beam of the transmitter: terms outside its half-angle are not part of the model.
+
+    Parameters
+    ----------
+    boresight : (3,) or (ping, 3) array_like
+        Direction the beam looks in; need not have length 1.
+    length : float
+        Along-track length D of the element, m; serves the along-track sampling warnings (D/4, D/2).
+    half_angle : float
+        Largest angle between boresight and the direction from transmitter to pixel, rad, in (0, pi].
+    """
+
+    boresight: FloatArray
+    length: float
+    half_angle: float
+
+    def __post_init__(self) -> None:
+        boresight = _checks.reals("boresight", self.boresight, [(3,), ("ping", 3)], ("ping",))
+        if not np.all(np.linalg.norm(boresight, axis=-1) > 0):
+            raise ValueError(f"boresight={self.boresight!r}: expected non-zero vectors")
+        object.__setattr__(self, "boresight", boresight)
+        object.__setattr__(self, "length", _checks.number("length", self.length, positive=True))
+        angle = _checks.number("half_angle", self.half_angle, positive=True)
+        if angle > np.pi:
+            raise ValueError(f"half_angle={angle!r}: expected radians in (0, pi]")
+        object.__setattr__(self, "half_angle", angle)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Echoes:
+    """Samples of a survey with their geometry (SI units).
+
+    Parameters
+    ----------
+    data : (ping, channel, sample) or (ping, sample) complex64 or complex128
+        Complex base-band samples: a point at two-way travel time tau contributes p(t - tau) exp(-2j pi fc tau).
+    fs, fc : float
+        Sample rate and demodulation frequency, Hz.
+    tx : (ping, 3)
+        Transmitter at the instant of transmission, m.
+    rx : (ping, channel, 3), or (ping, 3) for (ping, sample) data
+        Receivers at the instant of transmission, m.
+    c : float
+        Sound speed, m/s.
+    t0 : float or (ping,)
+        Time of sample 0 after the start of transmission, s.
+    velocity : (ping, 3) or (ping, channel, 3), optional
+        Receivers' velocity until the echo arrives, m/s. None: stop-and-hop.
+    bandwidth : float, optional
+        Two-sided occupied bandwidth of `data` about fc, Hz. Default: the pulse's, else fs/1.1.
+    pulse : LFM or (sample,) complex, optional
+        Transmitted pulse, or its base-band waveform at rate fs from t = 0; what `compress` needs.
+    compressed : bool
+        True: an echo peaks at its travel time. False: raw, an echo begins there.
+    beam : Beam, optional
+        None: omnidirectional.
+    ping_time : (ping,), optional
+        Time of each transmission, s.
+    attrs : mapping, optional
+        Anything else (title, source, truth).
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shape, dtype, unit or non-finite navigation; names the argument, and the first ping and channel.
+    """
+
+    data: ComplexArray = field(kw_only=False)
+    fs: float
+    fc: float
+    tx: FloatArray
+    rx: FloatArray
+    c: float = 1500.0
+    t0: float | FloatArray = 0.0
+    velocity: FloatArray | None = None
+    bandwidth: float | None = None
+    pulse: LFM | npt.NDArray[np.complexfloating[Any, Any]] | None = None
+    compressed: bool = True
+    beam: Beam | None = None
+    ping_time: FloatArray | None = None
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._validate()
+
+    def _validate(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("data", _checks.samples("data", self.data, (2, 3)))
+        for name in ("fs", "fc", "c"):
+            put(name, _checks.number(name, getattr(self, name), positive=True))
+        ping, three = self.data.shape[0], self.data.ndim == 3
+        receivers = (ping, self.data.shape[1], 3) if three else (ping, 3)
+        put("tx", _checks.reals("tx", self.tx, [(ping, 3)], ("ping",)))
+        put("rx", _checks.reals("rx", self.rx, [receivers], ("ping", "channel") if three else ("ping",)))
+        scalar = _checks.array_like("t0", self.t0).ndim == 0
+        put("t0", _checks.number("t0", self.t0) if scalar else _checks.reals("t0", self.t0, [(ping,)], ("ping",)))
+        if self.velocity is not None:
+            shapes = [(ping, 3), receivers] if three else [(ping, 3)]
+            labels = ("ping", "channel") if _checks.array_like("velocity", self.velocity).ndim == 3 else ("ping",)
+            put("velocity", _checks.reals("velocity", self.velocity, shapes, labels))
+            speed = float(np.max(np.linalg.norm(self.velocity, axis=-1)))
+            if speed >= self.c / 10:
+                raise ValueError(f"velocity: {speed:g} m/s: expected below a tenth of the sound speed, {self.c / 10:g} m/s")
+        self._validate_pulse(put)
+        if self.beam is not None:
+            if not isinstance(self.beam, Beam):
+                raise TypeError(f"beam={self.beam!r}: expected a pysas.Beam or None")
+            if self.beam.boresight.shape not in ((3,), (ping, 3)):
+                raise ValueError(f"beam: boresight of shape {self.beam.boresight.shape}: expected (3,) or ({ping}, 3)")
+        if not isinstance(self.compressed, bool | np.bool_):
+            raise TypeError(f"compressed={self.compressed!r}: expected True or False")
+        put("compressed", bool(self.compressed))
+        if self.ping_time is not None:
+            put("ping_time", _checks.reals("ping_time", self.ping_time, [(ping,)], ("ping",)))
+        if self.attrs is not None and not isinstance(self.attrs, Mapping):
+            raise TypeError(f"attrs={self.attrs!r}: expected a mapping")
+        put("attrs", dict(self.attrs or {}))
+
+    def _validate_pulse(self, put: Any) -> None:
+        if self.pulse is not None and not isinstance(self.pulse, LFM):
+            pulse = _checks.samples("pulse", self.pulse, (1,))
+            if not np.all(np.isfinite(pulse)):
+                raise ValueError("pulse: expected finite samples")
+            put("pulse", pulse)
+        if self.bandwidth is not None:
+            put("bandwidth", _checks.number("bandwidth", self.bandwidth, positive=True))
+        elif isinstance(self.pulse, LFM):
+            put("bandwidth", self.pulse.occupied_bandwidth + 2 * abs(self.pulse.fc - self.fc))
+        else:
+            put("bandwidth", self.fs / 1.1)
+
+    @property
+    def n_ping(self) -> int:
+        """Number of pings."""
+        return int(self.data.shape[0])
+
+    @property
+    def n_channel(self) -> int:
+        """Number of receiver channels."""
+        return int(self.data.shape[1]) if self.data.ndim == 3 else 1
+
+    @property
+    def n_sample(self) -> int:
+        """Samples per trace."""
+        return int(self.data.shape[-1])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """complex64 or complex128, native byte order."""
+        return np.dtype(np.complex64 if self.data.dtype.itemsize == 8 else np.complex128)
+
+    @property
+    def occupied_bandwidth(self) -> float:
+        """`bandwidth`, always a number, Hz."""
+        assert self.bandwidth is not None
+        return self.bandwidth
+
+    @property
+    def traces(self) -> ComplexArray:
+        """View (ping, channel, sample) of the data."""
+        return self.data if self.data.ndim == 3 else self.data[:, None, :]
+
+    @property
+    def receivers(self) -> FloatArray:
+        """View (ping, channel, 3) of the receivers, m."""
+        return self.rx if self.data.ndim == 3 else self.rx[:, None, :]
+
+    @property
+    def receiver_velocity(self) -> FloatArray | None:
+        """(ping, channel, 3) view of the velocity, m/s, or None."""
+        if self.velocity is None:
+            return None
+        velocity = self.velocity if self.velocity.ndim == 3 else self.velocity[:, None, :]
+        return np.broadcast_to(velocity, (self.n_ping, self.n_channel, 3))
+
+    @property
+    def start_time(self) -> FloatArray:
+        """(ping,) time of sample 0, s."""
+        return np.broadcast_to(np.asarray(self.t0, dtype=np.float64), (self.n_ping,))
+
+    @property
+    def swath(self) -> tuple[float, float]:
+        """Slant ranges that the record covers, m."""
+        last = (self.n_sample - 1) / self.fs
+        return self.c / 2 * float(self.start_time.min()), self.c / 2 * (float(self.start_time.max()) + last)
+
+    @property
+    def range_resolution(self) -> float:
+        """-3 dB width in slant range of an unweighted flat band, 0.886 c/(2 bandwidth), m."""
+        return 0.886 * self.c / (2 * self.occupied_bandwidth)
+
+    def phase_centre_spacing(self) -> tuple[float, float]:
+        """Median and largest gap (m) between phase centres (tx + rx)/2 along the track, all channels together."""
+        centres = (self.tx[:, None, :] + self.receivers) / 2
+        mean = centres.mean(axis=1)
+        if self.n_ping > 1:
+            along = np.gradient(mean, axis=0)
+            norm = np.linalg.norm(along, axis=1, keepdims=True)
+            tangent = np.divide(along, norm, out=np.zeros_like(along), where=norm > 0)
+        else:
+            tangent = np.zeros_like(mean)
+            spread = centres[0] - mean[0]
+            far = spread[np.argmax(np.linalg.norm(spread, axis=1))]
+            tangent[0] = far / max(float(np.linalg.norm(far)), 1e-300)
+        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(mean, axis=0), axis=1))])
+        offset = np.einsum("pcx,px->pc", centres - mean[:, None], tangent)
+        gaps = np.diff(np.sort((arc[:, None] + offset).ravel()))
+        gaps = gaps[gaps > 1e-6]
+        if gaps.size == 0:
+            return 0.0, 0.0
+        return float(np.median(gaps)), float(gaps.max())
+
+    def warnings(self) -> list[str]:
+        """What a person should know before imaging: sampling margins that are too small, one line each."""
+        found = []
+        margin = self.fs / self.occupied_bandwidth
+        if margin < 1.1:
+            found.append(f"fs is {margin:.3g} x the bandwidth {self.occupied_bandwidth:g} Hz: below 1.1, data alias in range")
+        if self.beam is not None and self.n_ping > 1:
+            median, largest = self.phase_centre_spacing()
+            length = self.beam.length
+            for gap, label in ((median, "median"), (largest, "largest")):
+                if gap > length / 2 * (1 + 1e-9):
+                    found.append(f"along-track under-sampled: {label} spacing {gap:.4g} m > D/2 = {length / 2:.4g} m")
+                    break
+                if gap > length / 4 * (1 + 1e-9):
+                    found.append(
+                        f"along-track spacing ({label} {gap:.4g} m) > D/4 = {length / 4:.4g} m: main lobe's edge aliases"
+                    )
+                    break
+        if self.n_ping > 1 and float(np.max(np.linalg.norm(np.diff(self.tx, axis=0), axis=1))) == 0:
+            found.append("the track does not move: no along-track resolution")
+        return found
+
+    def replace(self, **changes: Any) -> Echoes:
+        """A copy with some fields replaced, validated again; arrays are shared, not copied."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        fields.update(changes)
+        return Echoes(fields.pop("data"), **fields)
+
+    def __repr__(self) -> str:
+        median, largest = self.phase_centre_spacing()
+        near, far = self.swath
+        motion = "moving receivers" if self.velocity is not None else "stop-and-hop"
+        lines = [
+            f"Echoes: {self.n_ping} pings x {self.n_channel} channels x {self.n_sample} samples, {self.dtype}, "
+            f"{'range-compressed' if self.compressed else 'raw'}",
+            f"  sampling   fs {self.fs:g} Hz = {self.fs / self.occupied_bandwidth:.3g} x bandwidth "
+            f"{self.occupied_bandwidth:g} Hz, fc {self.fc:g} Hz, c {self.c:g} m/s",
+            f"  swath      {near:.2f} to {far:.2f} m slant range, resolution {self.range_resolution * 100:.3g} cm",
+            f"  track      {np.sum(np.linalg.norm(np.diff(self.tx, axis=0), axis=1)):.3g} m, phase centres every {median:.3g} m "
+            f"(largest gap {largest:.3g} m), {motion}",
+        ]
+        if self.pulse is not None:
+            lines.append(f"  pulse      {self.pulse if isinstance(self.pulse, LFM) else f'{self.pulse.size} samples'}")
+        if self.beam is not None:
+            lines.append(f"  beam       D {self.beam.length:g} m, half-angle {np.degrees(self.beam.half_angle):.3g} deg")
+        return "\n".join(lines + [f"  warning    {text}" for text in self.warnings()])

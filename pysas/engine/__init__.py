@@ -1,0 +1,80 @@
+"""The only door to compiled code: which backend runs, and the sum it runs."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+from typing import Any
+
+from pysas import _checks
+from pysas.engine._numba import BLOCK, GEOMETRY, MONOSTATIC, MOVING, NODES, STOP_AND_HOP
+
+__all__ = [
+    "BACKENDS",
+    "BLOCK",
+    "GEOMETRY",
+    "MONOSTATIC",
+    "MOVING",
+    "NODES",
+    "STOP_AND_HOP",
+    "backend_name",
+    "processor",
+    "show_config",
+]
+
+BACKENDS = ("auto", "numba", "cpp")
+
+
+def _extension() -> Any | None:
+    try:
+        return importlib.import_module("pysas.engine._core")
+    except ImportError:
+        return None
+
+
+def backend_name(backend: str = "auto") -> str:
+    """The backend that will run: the argument, else PYSAS_BACKEND, else the best there is."""
+    name = _checks.choice("backend", backend, BACKENDS)
+    if name == "auto":
+        name = _checks.choice("PYSAS_BACKEND", os.environ.get("PYSAS_BACKEND", "auto"), BACKENDS)
+    if name == "cpp":
+        state = "is not built" if _extension() is None else "has no back-projection yet"
+        raise ValueError(f"backend='cpp': the C++ extension {state}: use 'numba' or 'auto'")
+    return "numba"
+
+
+def processor() -> str:
+    """Name of the processor the Numba kernels are compiled for."""
+    from llvmlite import binding
+
+    return str(binding.get_host_cpu_name())
+
+
+def show_config(mode: str = "print") -> dict[str, Any] | None:
+    """Versions, backends and thread settings; printed, or returned with mode="dict"."""
+    import llvmlite
+    import numba
+    import numpy
+    import scipy
+
+    import pysas
+
+    _checks.choice("mode", mode, ("print", "dict"))
+    extension = _extension()
+    config = {
+        "pysas": pysas.__version__,
+        "backend": backend_name(),
+        "processor": processor(),
+        "extension": "not built" if extension is None else f"{extension.compiler()}, {extension.isa()}",
+        "threads": _checks.threads(None),
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+        "numba": f"{numba.__version__} (llvmlite {llvmlite.__version__})",
+    }
+    if mode == "dict":
+        return config
+    width = max(len(name) for name in config)
+    print("\n".join(f"{name:<{width}}  {value}" for name, value in config.items()))
+    return None

@@ -1,0 +1,393 @@
+"""Back-projection kernels in Numba: the sum over traces for one tile of pixels, without the GIL.
+
+A row of up to BLOCK pixels and a trace make a block. Where the planner allows it a block's delay is a polynomial of degree
+4 through exact delays at its five Chebyshev nodes (float64), carried into `real` as an offset from the block's centre;
+elsewhere every pixel's delay is exact in float64. Interval number, position in the interval and phase in turns follow per
+pixel; `_add_terms` then evaluates the interval's polynomial and adds it to the accumulators for SLOTS traces at a time.
+Everything here trusts its arguments. The kernels are specialised by the lengths of the tuples they are given: the number
+of coefficient pairs and of sine and cosine terms. They use no `parallel=True`: threads belong to the caller.
+"""
+
+# Types here are inferred by Numba from the arguments; mypy cannot see them.
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+BLOCK = 64
+SLOTS = 4
+NODES = 5
+# columns of a geometry row: transmitter, receiver, velocity, boresight (3 each), t0, index of sample 0 kept, first interval
+TX, RX, VELOCITY, BORESIGHT, T0, CROP, FIRST = 0, 3, 6, 9, 12, 13, 14
+GEOMETRY = 15
+# columns of the model: c, fc, fs, over-sampling, last counted index, cos(half-angle), least distance for polynomials
+C, FC, FS, RATE, LAST, COS_BEAM, NEAR = 0, 1, 2, 3, 4, 5, 6
+MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2
+_FLAGS = ("contract",)
+_FAST = {"contract", "nsz"}
+
+
+@intrinsic
+def _horner(typingctx, coefficients, x):
+    """Polynomial sum_q coefficients[q] x^q, unrolled, with fused multiply-adds where the machine has them."""
+
+    def codegen(context, builder, signature, args):
+        values = cgutils.unpack_tuple(builder, args[0], signature.args[0].count)
+        total = values[-1]
+        for value in reversed(values[:-1]):
+            total = builder.fadd(builder.fmul(total, args[1], flags=_FLAGS), value, flags=_FLAGS)
+        return total
+
+    return x(coefficients, x), codegen
+
+
+@intrinsic
+def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, sums):
+    """Add SLOTS traces' terms of pixel `m` to its eight partial sums.
+
+    A row of `coefficients` holds an interval's complex polynomial coefficients (c0, c1), (c2, c3), ... One vector of four
+    reals is a pair: even powers in the lower half, odd ones in the upper. With w = pair0 + t^2 (pair1 + ...), the sample is
+    w_even + t w_odd; `cosines` holds (cos, t cos) and `sines` (sin, t sin), so each is one multiply-add on all four.
+    Written as vectors because LLVM does not find this form in scalar code; the vectors are legal on every target.
+    """
+    count = pairs.count
+    signature = types.void(pairs, coefficients, interval, t2, cosines, sines, m, sums)
+
+    def codegen(context, builder, signature, args):
+        _, rows, k, squares, cc, ss, pixel, acc = (
+            None if i == 0 else context.make_array(t)(context, builder, value=a).data if isinstance(t, types.Array) else a
+            for i, (t, a) in enumerate(zip(signature.args, args, strict=True))
+        )
+        real = context.get_value_type(signature.args[1].dtype)
+        size = context.get_abi_sizeof(real)
+        word, index = ir.IntType(32), pixel.type
+        quad, double = ir.VectorType(real, 4), ir.VectorType(real, 2)
+
+        def const(n):
+            return ir.Constant(index, n)
+
+        def load(pointer, offset, kind):
+            value = builder.load(builder.bitcast(builder.gep(pointer, [offset]), ir.PointerType(kind)))
+            value.align = size
+            return value
+
+        def spread(value, kind, pattern):
+            mask = ir.Constant(ir.VectorType(word, 4), pattern)
+            return builder.shuffle_vector(value, ir.Constant(kind, ir.Undefined), mask)
+
+        def fma(a, b, c):
+            return builder.fadd(builder.fmul(a, b, flags=_FLAGS), c, flags=_FLAGS)
+
+        place = builder.mul(pixel, const(8))
+        halves = [load(acc, place, quad), load(acc, builder.add(place, const(4)), quad)]
+        for slot in range(SLOTS):
+            at = builder.add(pixel, const(slot * BLOCK))
+            row = builder.mul(builder.sext(builder.load(builder.gep(k, [at])), index), const(4 * count))
+            w = load(rows, builder.add(row, const(4 * (count - 1))), quad)
+            if count > 1:
+                square = builder.load(builder.gep(squares, [at]))
+                square = builder.insert_element(ir.Constant(quad, ir.Undefined), square, ir.Constant(word, 0))
+                square = spread(square, quad, [0, 0, 0, 0])
+                for q in range(count - 2, -1, -1):
+                    w = fma(w, square, load(rows, builder.add(row, const(4 * q)), quad))
+            twice = builder.mul(at, const(2))
+            for half, factors in enumerate((cc, ss)):
+                factor = spread(load(factors, twice, double), double, [0, 0, 1, 1])
+                halves[half] = fma(w, factor, halves[half])
+        for half, value in enumerate(halves):
+            pointer = builder.bitcast(builder.gep(acc, [builder.add(place, const(4 * half))]), ir.PointerType(quad))
+            builder.store(value, pointer).align = size
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST)
+def _delays(kind, g, c, x, y, z, count, out):
+    """Two-way travel times, s. Moving: the positive root of (c^2 - v^2) tau^2 - 2 (c D - d.v) tau + D^2 - d^2 = 0."""
+    tx, ty, tz = g[TX], g[TX + 1], g[TX + 2]
+    rx, ry, rz = g[RX], g[RX + 1], g[RX + 2]
+    if kind == MONOSTATIC:
+        scale = 2.0 / c
+        for i in range(count):
+            out[i] = scale * np.sqrt((x[i] - tx) ** 2 + (y[i] - ty) ** 2 + (z[i] - tz) ** 2)
+    elif kind == STOP_AND_HOP:
+        scale = 1.0 / c
+        for i in range(count):
+            there = np.sqrt((x[i] - tx) ** 2 + (y[i] - ty) ** 2 + (z[i] - tz) ** 2)
+            out[i] = scale * (there + np.sqrt((x[i] - rx) ** 2 + (y[i] - ry) ** 2 + (z[i] - rz) ** 2))
+    else:
+        vx, vy, vz = g[VELOCITY], g[VELOCITY + 1], g[VELOCITY + 2]
+        a = c * c - (vx * vx + vy * vy + vz * vz)
+        inverse = 1.0 / a
+        for i in range(count):
+            there2 = (x[i] - tx) ** 2 + (y[i] - ty) ** 2 + (z[i] - tz) ** 2
+            dx, dy, dz = x[i] - rx, y[i] - ry, z[i] - rz
+            b = c * np.sqrt(there2) - (dx * vx + dy * vy + dz * vz)
+            out[i] = inverse * (b + np.sqrt(b * b + a * (dx * dx + dy * dy + dz * dz - there2)))
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST, inline="always")
+def _factors(m, t, turns, sin_terms, cos_terms, cosines, sines):
+    """Store (cos, t cos) and (sin, t sin) of a phase in turns within [-1/2, 1/2]."""
+    q = turns * turns
+    sine = turns * _horner(sin_terms, q)
+    cosine = _horner(cos_terms, q)
+    cosines[2 * m] = cosine
+    cosines[2 * m + 1] = cosine * t
+    sines[2 * m] = sine
+    sines[2 * m + 1] = sine * t
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST)
+def _block(x, c0, c1, c2, c3, c4, base, turns, ratio, half, sin_terms, cos_terms, interval, t2, cosines, sines):
+    """Interval, squared position and phase factors of a block's pixels from its delay polynomial (in `real`)."""
+    for m in range(x.size):
+        xm = x[m]
+        du = xm * (c1 + xm * (c2 + xm * (c3 + xm * c4)))
+        u = c0 + du
+        low = np.floor(u)
+        interval[m] = base + np.int32(low)
+        t = u - low - half
+        t2[m] = t * t
+        ph = turns + ratio * du
+        _factors(m, t, ph - np.floor(ph + half), sin_terms, cos_terms, cosines, sines)
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST)
+def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, interval, t2, cosines, sines):
+    """The same from each pixel's own delay in float64; terms outside the record or the beam get weight 0. Counts terms.
+
+    `part` (2, BLOCK) of `real` carries position and phase from the float64 loop to the short one.
+    """
+    count = x.size
+    _delays(kind, g, model[C], x, y, z, count, tau)
+    first = np.int32(g[FIRST])
+    terms = 0
+    beam = model[COS_BEAM]
+    for m in range(count):
+        index = (tau[m] - g[T0]) * model[FS]
+        counts = index >= 0.0 and index <= model[LAST]
+        if beam > -1.0:
+            dx, dy, dz = x[m] - g[TX], y[m] - g[TX + 1], z[m] - g[TX + 2]
+            along = dx * g[BORESIGHT] + dy * g[BORESIGHT + 1] + dz * g[BORESIGHT + 2]
+            counts = counts and along >= beam * np.sqrt(dx * dx + dy * dy + dz * dz)
+        terms += counts
+        u = (index - g[CROP]) * model[RATE] if counts else 0.0
+        low = np.floor(u)
+        interval[m] = first + np.int32(low)
+        position = u - low - 0.5
+        part[0, m] = position
+        t2[m] = position * position
+        turns = model[FC] * tau[m]
+        part[1, m] = turns - np.floor(turns + 0.5)
+        tau[m] = 1.0 if counts else 0.0
+    for m in range(count):
+        _factors(m, part[0, m], part[1, m], sin_terms, cos_terms, cosines, sines)
+    if terms < count:
+        for m in range(count):
+            if tau[m] == 0.0:
+                cosines[2 * m] = cosines[2 * m + 1] = sines[2 * m] = sines[2 * m + 1] = 0
+    return terms
+
+
+OUTSIDE, INSIDE, ACROSS = 0, 1, 2
+
+
+@njit(nogil=True, cache=True)
+def _reach(g, model, centre, radius):
+    """Whether a sphere lies outside, inside or across the record's window and the beam, and its least distance."""
+    there = np.sqrt((centre[0] - g[TX]) ** 2 + (centre[1] - g[TX + 1]) ** 2 + (centre[2] - g[TX + 2]) ** 2)
+    back = np.sqrt((centre[0] - g[RX]) ** 2 + (centre[1] - g[RX + 1]) ** 2 + (centre[2] - g[RX + 2]) ** 2)
+    nearest = max(min(there, back) - radius, 0.0)
+    speed = np.sqrt(g[VELOCITY] ** 2 + g[VELOCITY + 1] ** 2 + g[VELOCITY + 2] ** 2)
+    low = (max(there - radius, 0.0) + max(back - radius, 0.0)) / (model[C] + speed)
+    high = (there + back + 2 * radius) / (model[C] - speed)
+    # one part in 1e9 of slack: rounding must never decide what the exact block should
+    low = (low * (1 - 1e-9) - g[T0]) * model[FS]
+    high = (high * (1 + 1e-9) - g[T0]) * model[FS]
+    if high < 0 or low > model[LAST]:
+        return OUTSIDE, nearest
+    where = INSIDE if low >= 0 and high <= model[LAST] else ACROSS
+    if model[COS_BEAM] > -1.0:
+        if there <= radius * (1 + 1e-9):
+            return ACROSS, nearest
+        along = 0.0
+        for axis in range(3):
+            along += (centre[axis] - g[TX + axis]) * g[BORESIGHT + axis]
+        angle = np.arccos(min(1.0, max(-1.0, along / there)))
+        spread = np.arcsin(radius / there) + 1e-9
+        limit = np.arccos(model[COS_BEAM])
+        if angle - spread > limit:
+            return OUTSIDE, nearest
+        if angle + spread > limit:
+            where = ACROSS
+    return where, nearest
+
+
+@njit(nogil=True, cache=True)
+def _sphere(x, y, z):
+    """Centre and radius of a sphere that holds all points."""
+    centre = np.array([(x.min() + x.max()) / 2, (y.min() + y.max()) / 2, (z.min() + z.max()) / 2])
+    radius = 0.0
+    for i in range(x.size):
+        radius = max(radius, (x[i] - centre[0]) ** 2 + (y[i] - centre[1]) ** 2 + (z[i] - centre[2]) ** 2)
+    return centre, np.sqrt(radius) * (1 + 1e-12)
+
+
+@njit(nogil=True, cache=True)
+def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
+    """Delay polynomials of all blocks of a tile for one trace: `poly` (6, block) real, `start` (block,) interval number.
+
+    poly[0..4]: intervals after `start` at x in [-1, 1]; poly[5]: turns of phase at the block's centre.
+    """
+    rows = start.size
+    _delays(kind, g, model[C], nodes[0], nodes[1], nodes[2], NODES * rows, tau)
+    scale = model[FS] * model[RATE]
+    for r in range(rows):
+        centre = tau[2 * rows + r]
+        a, b = tau[r] - centre, tau[rows + r] - centre
+        d, e = tau[3 * rows + r] - centre, tau[4 * rows + r] - centre
+        u = ((centre - g[T0]) * model[FS] - g[CROP]) * model[RATE]
+        low = np.floor(u)
+        start[r] = np.int32(g[FIRST]) + np.int32(low)
+        poly[0, r] = u - low
+        for q in range(1, NODES):
+            poly[q, r] = scale * (fit[q, 0] * a + fit[q, 1] * b + fit[q, 3] * d + fit[q, 4] * e)
+        turns = model[FC] * centre
+        poly[5, r] = turns - np.floor(turns + 0.5)
+
+
+@njit(nogil=True, cache=True)
+def sum_tile(
+    coords, blocks, straight, active, geometry, model, kind, coefficients, x, nodes, fit, half, sin_terms, cos_terms, pairs, out
+):
+    """Add all traces of a batch to one tile of pixels.
+
+    Parameters
+    ----------
+    coords : (block * count, 3) float64, or (0, 3)
+        Pixels; when empty, block b is the line blocks[b, :3] + m blocks[b, 3:], m = 0 .. count - 1.
+    blocks : (block, 6) float64
+        First pixel and step of each block (used when `straight`).
+    straight : bool
+        Blocks are evenly spaced lines: polynomials may be used.
+    active : (block,) bool
+        Blocks with any pixel to image.
+    geometry : (trace, GEOMETRY) float64
+    model : (7,) float64
+    coefficients : (interval * 4 * len(pairs),) real
+    x, nodes, fit : (count,) real, (NODES,) and (NODES, NODES) float64
+        Positions in a block in [-1, 1], Chebyshev nodes, node values to monomials.
+    half : real
+        0.5 in the type of the arithmetic.
+    sin_terms, cos_terms, pairs : tuples
+    out : (block, count) complex
+        Added to.
+
+    Returns
+    -------
+    int
+        Terms summed.
+    """
+    rows, count = out.shape
+    size = rows * count
+    px, py, pz = np.empty(size), np.empty(size), np.empty(size)
+    if coords.shape[0]:
+        for i in range(size):
+            px[i], py[i], pz[i] = coords[i, 0], coords[i, 1], coords[i, 2]
+    else:
+        for r in range(rows):
+            for m in range(count):
+                px[r * count + m] = blocks[r, 0] + m * blocks[r, 3]
+                py[r * count + m] = blocks[r, 1] + m * blocks[r, 4]
+                pz[r * count + m] = blocks[r, 2] + m * blocks[r, 5]
+    node_points = np.empty((3, NODES * rows))
+    for j in range(NODES):
+        for r in range(rows):
+            for axis in range(3):
+                middle = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
+                node_points[axis, j * rows + r] = middle + nodes[j] * blocks[r, 3 + axis] * (count - 1) / 2
+    centre, radius = _sphere(px, py, pz)
+
+    traces = np.empty(geometry.shape[0], dtype=np.int64)
+    place = np.empty(geometry.shape[0], dtype=np.int64)
+    near = np.empty(geometry.shape[0], dtype=np.bool_)
+    found = 0
+    for trace in range(geometry.shape[0]):
+        where, nearest = _reach(geometry[trace], model, centre, radius)
+        if where != OUTSIDE:
+            traces[found], place[found], near[found] = trace, where, nearest < model[NEAR]
+            found += 1
+
+    sums = np.zeros((rows, 8 * count), dtype=x.dtype)
+    interval = np.zeros((SLOTS, BLOCK), dtype=np.int32)
+    t2 = np.zeros((SLOTS, BLOCK), dtype=x.dtype)
+    cosines = np.zeros((SLOTS, 2 * BLOCK), dtype=x.dtype)
+    sines = np.zeros((SLOTS, 2 * BLOCK), dtype=x.dtype)
+    poly = np.empty((SLOTS, NODES + 1, rows), dtype=x.dtype)
+    start = np.empty((SLOTS, rows), dtype=np.int32)
+    part = np.empty((2, BLOCK), dtype=x.dtype)
+    tau = np.empty(max(BLOCK, NODES * rows))
+    row_centre = np.empty(3)
+    ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
+    intervals, squares, cc, ss = interval.ravel(), t2.ravel(), cosines.ravel(), sines.ravel()
+    terms = 0
+    for group in range(0, found, SLOTS):
+        filled = min(SLOTS, found - group)
+        for slot in range(filled):
+            i = group + slot
+            if straight and not near[i]:
+                _polynomials(kind, geometry[traces[i]], model, fit, node_points, tau, poly[slot], start[slot])
+        for r in range(rows):
+            if not active[r]:
+                continue
+            used = False
+            lo, hi = r * count, (r + 1) * count
+            for slot in range(SLOTS):
+                where = OUTSIDE
+                if slot < filled:
+                    i = group + slot
+                    g = geometry[traces[i]]
+                    where = place[i]
+                    exact = not straight or near[i]
+                    if where == ACROSS and not exact:
+                        for axis in range(3):
+                            row_centre[axis] = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
+                        reach = 0.0
+                        for axis in range(3):
+                            reach += (blocks[r, 3 + axis] * (count - 1) / 2) ** 2
+                        where, _ = _reach(g, model, row_centre, np.sqrt(reach))
+                        exact = where == ACROSS
+                if where == OUTSIDE:
+                    cosines[slot, :] = 0
+                    sines[slot, :] = 0
+                    interval[slot, :] = 0
+                elif exact:
+                    used = True
+                    terms += _exact_block(
+                        kind, g, model, px[lo:hi], py[lo:hi], pz[lo:hi], tau, part, sin_terms, cos_terms,
+                        interval[slot], t2[slot], cosines[slot], sines[slot],
+                    )  # fmt: skip
+                else:
+                    used = True
+                    terms += count
+                    p = poly[slot]
+                    _block(
+                        x, p[0, r], p[1, r], p[2, r], p[3, r], p[4, r], start[slot, r], p[5, r], ratio, half,
+                        sin_terms, cos_terms, interval[slot], t2[slot], cosines[slot], sines[slot],
+                    )  # fmt: skip
+            if used:
+                row = sums[r]
+                for m in range(count):
+                    _add_terms(pairs, coefficients, intervals, squares, cc, ss, m, row)
+    for r in range(rows):
+        for m in range(count):
+            a = sums[r, 8 * m : 8 * m + 8]
+            out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
+    return terms

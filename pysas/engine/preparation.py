@@ -1,0 +1,92 @@
+"""From traces to interpolation coefficients: for every interval of an over-sampled time axis, the polynomial that reads it.
+
+On an interval of length 1/(rate fs), with position t in [-1/2, 1/2] from its middle, a component exp(2j pi f time) is
+exp(j theta x), x = 2 t, theta = pi f/(rate fs) = sum_k (2 - [k = 0]) j^k J_k(theta) T_k(x) (Jacobi-Anger). Cut at degree d
+this is the near-minimax polynomial of the component; its coefficients times W(f) are the transfer functions H_q, and one
+inverse transform per q gives coefficient q of all intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+from numpy.polynomial import chebyshev
+from scipy.special import jv
+
+from pysas._checks import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Interpolator:
+    """How traces become coefficients.
+
+    length : samples kept of each trace; n_fft, n_fine : transform lengths at fs and at rate fs; intervals : intervals kept;
+    degree : of the polynomials; transfer : (degree + 1, n_fft) complex, H_q with the shift to the interval's middle;
+    window : (length,) smooth cut of the samples kept, or None.
+    """
+
+    length: int
+    n_fft: int
+    n_fine: int
+    intervals: int
+    degree: int
+    transfer: ComplexArray
+    window: FloatArray | None
+
+    @property
+    def rate(self) -> float:
+        """Over-sampling: intervals per sample."""
+        return self.n_fine / self.n_fft
+
+
+def low_pass(f: FloatArray) -> FloatArray:
+    """W at frequencies `f` in units of fs: 1 up to 1/2.2, falling as cos^2 to 0 at 1/2."""
+    edge = np.clip((np.abs(f) - 1 / 2.2) / (0.5 - 1 / 2.2), 0, 1)
+    return np.asarray(np.cos(np.pi / 2 * edge) ** 2)
+
+
+def monomials(theta: FloatArray, degree: int) -> npt.NDArray[np.complex128]:
+    """Coefficients (degree + 1, len(theta)) in powers of t, |t| <= 1/2, of the degree-d polynomial of exp(2j theta t)."""
+    k = np.arange(degree + 1)
+    series = (2.0 - (k == 0))[:, None] * (1j**k)[:, None] * jv(k[:, None], theta)
+    to_powers = np.zeros((degree + 1, degree + 1))
+    for n in k:
+        row = chebyshev.cheb2poly(np.eye(degree + 1)[n])
+        to_powers[: row.size, n] = row
+    return np.asarray((2.0**k)[:, None] * (to_powers @ series))
+
+
+def interpolator(
+    length: int, n_fft: int, n_fine: int, degree: int, taper: int, beta: float, dtype: npt.DTypeLike
+) -> Interpolator:
+    """Transfer functions in complex `dtype`; n_fine >= n_fft. `taper` samples at each end fall as a Kaiser window's integral."""
+    f = scipy.fft.fftfreq(n_fft)
+    theta = np.pi * f * n_fft / n_fine
+    transfer = monomials(theta, degree) * (low_pass(f) * np.exp(1j * theta) * (n_fine / n_fft))
+    intervals = min(n_fine, int(np.ceil((length - 1) * n_fine / n_fft)) + 1)
+    window = None
+    if taper:
+        rise = np.cumsum(np.kaiser(taper + 1, beta))
+        window = np.ones(length)
+        window[:taper] = (rise / rise[-1])[:taper]
+        window[-taper:] = window[:taper][::-1]
+        window = window.astype(np.dtype(dtype).type(0).real.dtype)
+    return Interpolator(length, n_fft, n_fine, intervals, degree, transfer.astype(dtype), window)
+
+
+def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[Any]) -> None:
+    """Fill `out` (trace, interval, degree + 1) complex from `segments` (trace, length)."""
+    spectrum = scipy.fft.fft(segments, plan.n_fft, axis=-1, workers=1)
+    half = (plan.n_fft + 1) // 2
+    tail = plan.n_fft - half
+    fine = np.zeros((segments.shape[0], plan.n_fine), dtype=out.dtype)
+    for q in range(plan.degree + 1):
+        fine[:, :half] = spectrum[:, :half] * plan.transfer[q, :half]
+        fine[:, half:] = 0
+        if tail:
+            fine[:, plan.n_fine - tail :] = spectrum[:, half:] * plan.transfer[q, half:]
+        out[:, :, q] = scipy.fft.ifft(fine, axis=-1, workers=1)[:, : plan.intervals]

@@ -1,0 +1,163 @@
+"""The back-projection sum over batches of traces: prepare a batch, then add it to every tile, both on worker threads.
+
+Batches and tiles are fixed by the plan, not by the number of threads, so that the image is bit-identical for any. Samples
+are scaled by one power of two before they meet float32, so that no amplitude over- or underflows on the way.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas._checks import ComplexArray, FloatArray
+from pysas.engine import _numba, pool
+from pysas.engine.preparation import Interpolator, coefficients
+
+_ROWS_PER_TASK = 8
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Traces as the kernels want them, coordinates about the scene's centre.
+
+    geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,) or None;
+    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,).
+    """
+
+    geometry: FloatArray
+    start: npt.NDArray[np.int64]
+    weights: ComplexArray | None
+    kind: int
+    model: FloatArray
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Rows [first, last) and columns [left, right) of the image seen as (line, pixel on the line)."""
+
+    first: int
+    last: int
+    left: int
+    right: int
+
+
+@dataclass(frozen=True)
+class Totals:
+    """What a sum did."""
+
+    prepare_seconds: float
+    sum_seconds: float
+    terms: int
+
+
+def largest(data: ComplexArray, threads: int) -> tuple[float, list[tuple[int, int]]]:
+    """Largest |real| or |imaginary| part of all finite traces, and (ping, channel) of the traces that are not finite."""
+    traces = data if data.ndim == 3 else data[:, None, :]
+    peaks = np.zeros(traces.shape[:2])
+
+    def measure(ping: int) -> None:
+        for part in (traces[ping].real, traces[ping].imag):
+            np.maximum(peaks[ping], np.maximum(part.max(axis=-1), -part.min(axis=-1)), out=peaks[ping])
+
+    pool.run(measure, traces.shape[0], threads)
+    finite = np.isfinite(peaks)
+    bad = [(int(p), int(c)) for p, c in np.argwhere(~finite)]
+    return float(np.max(peaks, where=finite, initial=0.0)), bad
+
+
+def accumulate(
+    data: ComplexArray,
+    order: npt.NDArray[np.int64],
+    survey: Survey,
+    reader: Interpolator,
+    scale: float,
+    tiles: list[Tile],
+    locate: Callable[[Tile], tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]],
+    straight: bool,
+    count: int,
+    trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
+    real: npt.DTypeLike,
+    batch: int,
+    image: ComplexArray,
+    threads: int,
+    progress: Callable[[float], None] | None,
+) -> Totals:
+    """Add traces `order` (flat ping-channel numbers; row i of survey.geometry is order[i]) of `data` to `image` (line, pixel).
+
+    `locate(tile)` gives the kernel's coords, blocks and active rows. `count` pixels make a block. The image is left
+    multiplied by `scale`.
+    """
+    traces = data.reshape(-1, data.shape[-1]) if data.flags.c_contiguous else None
+    channels = data.shape[1] if data.ndim == 3 else 1
+    kind = np.dtype(real)
+    complex_kind = np.dtype(np.complex64 if kind == np.float32 else np.complex128)
+    nodes = np.cos(np.pi * (2 * np.arange(_numba.NODES)[::-1] + 1) / (2 * _numba.NODES))
+    nodes[_numba.NODES // 2] = 0.0
+    fit = np.linalg.inv(np.vander(nodes, increasing=True))
+    x = np.linspace(-1, 1, count).astype(kind) if count > 1 else np.zeros(1, kind)
+    scalar: Any = kind.type
+    sines, cosines = (tuple(scalar(v) for v in terms) for terms in trigonometry)
+    pairs = (0,) * ((reader.degree + 1) // 2)
+    half = scalar(0.5)
+    n_sample = data.shape[-1]
+    counted = np.zeros(len(tiles), dtype=np.int64)
+    prepared = summed = 0.0
+    batches = range(0, len(order), batch)
+    for number, begin in enumerate(batches):
+        part = order[begin : begin + batch]
+        clock = time.perf_counter()
+        table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
+
+        def prepare(task: int, part: npt.NDArray[np.int64] = part, begin: int = begin, table: Any = table) -> None:
+            lo = task * _ROWS_PER_TASK
+            rows = part[lo : lo + _ROWS_PER_TASK]
+            segments = np.zeros((rows.size, reader.length), dtype=complex_kind)
+            for i, flat in enumerate(rows):
+                trace = (
+                    traces[flat] if traces is not None else data[divmod(int(flat), channels) if data.ndim == 3 else int(flat)]
+                )
+                start = int(survey.start[begin + lo + i])
+                a, b = max(start, 0), min(start + reader.length, n_sample)
+                if b > a:
+                    factor: Any = 1 / scale if survey.weights is None else survey.weights[begin + lo + i] / scale
+                    segments[i, a - start : b - start] = trace[a:b] * np.asarray(factor, dtype=np.result_type(trace, factor))
+            if reader.window is not None:
+                segments *= reader.window
+            coefficients(segments, reader, table[lo : lo + rows.size])
+
+        pool.run(prepare, -(-part.size // _ROWS_PER_TASK), threads)
+        geometry = survey.geometry[begin : begin + part.size].copy()
+        geometry[:, _numba.FIRST] = np.arange(part.size) * reader.intervals
+        flat_table = table.reshape(-1).view(kind)
+        now = time.perf_counter()
+        prepared += now - clock
+
+        def add(task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table) -> None:
+            tile = tiles[task]
+            coords, blocks, active = locate(tile)
+            if not active.any():
+                return
+            out = np.zeros((blocks.shape[0], count), dtype=complex_kind)
+            terms = _numba.sum_tile(
+                coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, x, nodes, fit, half,
+                sines, cosines, pairs, out,
+            )  # fmt: skip
+            pixels = (tile.last - tile.first) * (tile.right - tile.left)
+            counted[task] += terms * pixels // out.size
+            if straight or tile.right - tile.left == count:
+                image[tile.first : tile.last, tile.left : tile.right] += out[:, : tile.right - tile.left]
+            else:
+                image[tile.first : tile.last, tile.left : tile.right] += out.reshape(-1)[:pixels]
+
+        def tick(done: int, number: int = number) -> None:
+            assert progress is not None
+            progress((number + done / len(tiles)) / len(batches))
+
+        pool.run(add, len(tiles), threads, tick if progress is not None else None)
+        summed += time.perf_counter() - now
+    return Totals(prepared, summed, int(counted.sum()))

@@ -1,0 +1,153 @@
+"""Grid: the points to image - planes, polar sectors, height-mapped surfaces, volumes or any list - with an optional mask.
+
+A grid knows its coordinates and nothing of echoes. Pixels are numbered in C order of `shape`; the last axis is the one
+the engines walk along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+from pysas._checks import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
+KINDS = ("plane", "polar", "surface", "volume", "points")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grid:
+    """Points to image; made by `plane`, `polar`, `surface`, `volume` or `points`.
+
+    Attributes
+    ----------
+    kind : str
+        Which of the five.
+    shape : tuple of int
+        Shape of an image on this grid.
+    axes : dict of str to (n,) float64
+        Coordinate vectors, m (angle: rad), in the order of the constructor's arguments; empty for points.
+    mask : bool array of `shape`, or None
+        False: the pixel is not computed and stays 0.
+    """
+
+    kind: str
+    shape: tuple[int, ...]
+    axes: Mapping[str, FloatArray]
+    mask: BoolArray | None = None
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    height: float | FloatArray = 0.0
+    coords: FloatArray | None = None
+
+    @classmethod
+    def plane(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: float = 0.0, *, mask: npt.ArrayLike | None = None) -> Grid:
+        """Horizontal plane at height `z`; shape (len(y), len(x))."""
+        axes = {"x": _axis("x", x), "y": _axis("y", y)}
+        return cls._made("plane", axes, (axes["y"].size, axes["x"].size), mask, height=_checks.number("z", z))
+
+    @classmethod
+    def polar(
+        cls,
+        r: npt.ArrayLike,
+        angle: npt.ArrayLike,
+        centre: npt.ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        mask: npt.ArrayLike | None = None,
+    ) -> Grid:
+        """Points centre + r (cos angle, sin angle, 0); shape (len(angle), len(r)); `r` in m, `angle` in rad."""
+        axes = {"r": _axis("r", r), "angle": _axis("angle", angle)}
+        x, y, z = _checks.reals("centre", centre, [(3,)])
+        return cls._made("polar", axes, (axes["angle"].size, axes["r"].size), mask, centre=(float(x), float(y), float(z)))
+
+    @classmethod
+    def surface(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> Grid:
+        """Height map `z` of shape (len(y), len(x)) over the coordinate vectors `x` and `y`."""
+        axes = {"x": _axis("x", x), "y": _axis("y", y)}
+        shape = (axes["y"].size, axes["x"].size)
+        return cls._made("surface", axes, shape, mask, height=_checks.reals("z", z, [shape], ("row", "column")))
+
+    @classmethod
+    def volume(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> Grid:
+        """Box of points; shape (len(z), len(y), len(x))."""
+        axes = {"x": _axis("x", x), "y": _axis("y", y), "z": _axis("z", z)}
+        return cls._made("volume", axes, (axes["z"].size, axes["y"].size, axes["x"].size), mask)
+
+    @classmethod
+    def points(cls, points: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> Grid:
+        """Any points (..., 3), m; shape points.shape[:-1]."""
+        array = _checks.array_like("points", points)
+        shape: tuple[int | str, ...] = (*array.shape[:-1], 3) if array.ndim > 1 else ("...", 3)
+        coords = _checks.reals("points", points, [shape], ("point",))
+        return cls._made("points", {}, coords.shape[:-1], mask, coords=coords)
+
+    @classmethod
+    def _made(cls, kind: str, axes: dict[str, FloatArray], shape: tuple[int, ...], mask: Any, **fields: Any) -> Grid:
+        if 0 in shape:
+            raise ValueError(f"points: expected at least one point, found shape {shape}")
+        if mask is not None:
+            mask = _checks.array_like("mask", mask)
+            if mask.dtype != np.bool_:
+                raise TypeError(f"mask: expected booleans, found dtype {mask.dtype}")
+            if mask.shape != shape:
+                raise ValueError(f"mask: expected the grid's shape {shape}, found {mask.shape}")
+        return cls(kind, shape, axes, mask, **fields)
+
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return int(np.prod(self.shape))
+
+    def coordinates(self, pixels: npt.ArrayLike | None = None) -> FloatArray:
+        """Coordinates (n, 3), m, of flat pixel indices (default: all, in C order)."""
+        flat = np.arange(self.size) if pixels is None else np.asarray(pixels)
+        if flat.dtype.kind not in "iu" or flat.ndim != 1:
+            raise TypeError(f"pixels: expected a 1-D array of whole numbers, found shape {flat.shape}, dtype {flat.dtype}")
+        if flat.size and (int(flat.min()) < 0 or int(flat.max()) >= self.size):
+            raise ValueError(f"pixels: expected 0 <= pixel < {self.size}, found {flat.min()} to {flat.max()}")
+        if self.coords is not None:
+            return self.coords.reshape(-1, 3)[flat]
+        index = np.unravel_index(flat, self.shape)
+        points = np.empty((flat.size, 3))
+        if self.kind == "polar":
+            angle, r = self.axes["angle"][index[0]], self.axes["r"][index[1]]
+            points[:, 0] = self.centre[0] + r * np.cos(angle)
+            points[:, 1] = self.centre[1] + r * np.sin(angle)
+            points[:, 2] = self.centre[2]
+            return points
+        points[:, 0] = self.axes["x"][index[-1]]
+        points[:, 1] = self.axes["y"][index[-2]]
+        if self.kind == "volume":
+            points[:, 2] = self.axes["z"][index[0]]
+        else:
+            points[:, 2] = np.asarray(self.height).reshape(-1)[flat] if np.ndim(self.height) else self.height
+        return points
+
+    def __repr__(self) -> str:
+        def span(name: str, values: FloatArray) -> str:
+            unit = "rad" if name == "angle" else "m"
+            step = f" every {(values[-1] - values[0]) / (values.size - 1):.4g} {unit}" if values.size > 1 else ""
+            return f"  {name:<10} {values[0]:.6g} to {values[-1]:.6g} {unit}{step}"
+
+        lines = [f"Grid: {self.kind}, {' x '.join(str(n) for n in self.shape)} pixels"]
+        lines += [span(name, values) for name, values in self.axes.items()]
+        if self.kind == "plane":
+            lines.append(f"  z          {self.height:g} m")
+        elif self.kind == "surface":
+            lines.append(f"  z          {np.min(self.height):.4g} to {np.max(self.height):.4g} m")
+        elif self.kind == "polar":
+            lines.append(f"  centre     {self.centre} m")
+        if self.mask is not None:
+            lines.append(f"  mask       {np.count_nonzero(self.mask)} of {self.size} pixels imaged")
+        return "\n".join(lines)
+
+
+def _axis(name: str, values: npt.ArrayLike) -> FloatArray:
+    axis = _checks.reals(name, values, [("n",)])
+    if axis.size == 0:
+        raise ValueError(f"{name}: expected at least one coordinate, found none")
+    return axis

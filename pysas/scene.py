@@ -1,0 +1,141 @@
+"""What the planner sees of a scene: geometry about its centre, each trace's window, the shape of the work. No choices."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas._checks import ComplexArray, FloatArray
+from pysas.echoes import Echoes
+from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
+from pysas.grid import Grid
+
+
+class Scene:
+    """What the planner sees: geometry about the scene's centre, the window of every trace, the shape of the work."""
+
+    def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | None) -> None:
+        self.fs, self.fc, self.c = echoes.fs, echoes.fc, echoes.c
+        self.n_sample, self.dtype = echoes.n_sample, echoes.dtype
+        self.band = echoes.occupied_bandwidth / 2 / echoes.fs
+        pings, channels = echoes.n_ping, echoes.n_channel
+        self.traces = pings * channels
+        self.straight = lines(grid) is not None
+        low, high = _box(grid)
+        self.origin = (low + high) / 2
+        low, high = low - self.origin, high - self.origin
+        tx = np.repeat(echoes.tx - self.origin, channels, axis=0)
+        rx = (echoes.receivers - self.origin).reshape(-1, 3)
+        velocity = echoes.receiver_velocity
+        moving = velocity is not None and bool(np.any(velocity))
+        self.kind = MOVING if moving else MONOSTATIC if np.array_equal(tx, rx) else STOP_AND_HOP
+        geometry = np.zeros((self.traces, GEOMETRY))
+        geometry[:, 0:3], geometry[:, 3:6] = tx, rx
+        if moving:
+            assert velocity is not None
+            geometry[:, 6:9] = velocity.reshape(-1, 3)
+        self.cos_beam = -1.0
+        if echoes.beam is not None and echoes.beam.half_angle < np.pi:
+            boresight = echoes.beam.boresight / np.linalg.norm(echoes.beam.boresight, axis=-1, keepdims=True)
+            geometry[:, 9:12] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
+            self.cos_beam = float(np.cos(echoes.beam.half_angle))
+        geometry[:, 12] = np.repeat(echoes.start_time, channels)
+        self.geometry = geometry
+        self.weights = _weights(weights, pings, channels)
+        near_tx, far_tx = _distances(tx, low, high)
+        near_rx, far_rx = _distances(rx, low, high)
+        speed = np.linalg.norm(geometry[:, 6:9], axis=1)
+        self.nearest = float(min(near_tx.min(), near_rx.min()))
+        self.farthest = float(max(far_tx.max(), far_rx.max()))
+        # indices that any pixel can ask for, within the record
+        self.first = np.floor(((near_tx + near_rx) / (self.c + speed) - geometry[:, 12]) * self.fs).astype(np.int64)
+        self.last = np.ceil(((far_tx + far_rx) / (self.c - speed) - geometry[:, 12]) * self.fs).astype(np.int64)
+        self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
+        self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
+        self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
+        self.step = 0.0
+        found = lines(grid)
+        if found is not None:
+            self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
+            self.line_length = grid.shape[-1]
+            self.slope = _slope(found, self.origin, tx, rx, self.line_length)
+
+    def why_silent(self) -> str:
+        """Why no pixel hears any ping."""
+        low = float(self.c / 2 * self.geometry[:, 12].min())
+        high = float(self.c / 2 * (self.geometry[:, 12].max() + (self.n_sample - 1) / self.fs))
+        return (
+            f"the grid lies outside the recorded window: image is zero; grid at slant ranges {self.nearest:.4g} to "
+            f"{self.farthest:.4g} m, record {low:.4g} to {high:.4g} m"
+        )
+
+
+def _weights(weights: npt.ArrayLike | None, pings: int, channels: int) -> ComplexArray | None:
+    if weights is None:
+        return None
+    array = np.asarray(weights)
+    if array.dtype.kind not in "iufc":
+        raise TypeError(f"weights: expected numbers, found dtype {array.dtype}")
+    if array.shape not in ((pings,), (pings, channels)):
+        raise ValueError(f"weights: expected shape ({pings},) or ({pings}, {channels}), found {array.shape}")
+    if not np.all(np.isfinite(array)):
+        bad = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"weights: non-finite at ping {bad[0]}{f', channel {bad[1]}' if bad.size > 1 else ''}")
+    full = array.astype(np.complex128).reshape(pings, -1)
+    return np.broadcast_to(full, (pings, channels)).reshape(-1)
+
+
+def lines(grid: Grid) -> tuple[FloatArray, FloatArray] | None:
+    """First pixel and step (line, 3) of the grid's last axis, if that is evenly spaced lines; else None.
+
+    Even means to 1e-9 of the line's length plus the rounding of large coordinates; the deviation adds to the phase error.
+    """
+    name = {"plane": "x", "volume": "x", "polar": "r"}.get(grid.kind)
+    if name is None:
+        return None
+    axis = grid.axes[name]
+    if axis.size > 1:
+        even = np.linspace(axis[0], axis[-1], axis.size)
+        if np.max(np.abs(axis - even)) > 1e-9 * abs(axis[-1] - axis[0]) + 4e-16 * np.max(np.abs(axis)):
+            return None
+    number = int(np.prod(grid.shape[:-1]))
+    first = grid.coordinates(np.arange(number) * axis.size)
+    last = grid.coordinates(np.arange(number) * axis.size + axis.size - 1)
+    return first, (last - first) / max(axis.size - 1, 1)
+
+
+def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Corners of a box that holds the grid."""
+    if grid.kind in ("plane", "volume", "surface"):
+        spans = [(np.min(a), np.max(a)) for a in grid.axes.values()]
+        if grid.kind != "volume":
+            spans.append((np.min(grid.height), np.max(grid.height)))
+        corners = np.array(spans, dtype=np.float64).T
+        return corners[0], corners[1]
+    points = grid.coords.reshape(-1, 3) if grid.coords is not None else grid.coordinates()
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and largest distance of each point from a box."""
+    least = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    far = np.where(np.abs(points - low) > np.abs(points - high), low, high)
+    return least, np.linalg.norm(points - far, axis=1)
+
+
+def _slope(found: tuple[FloatArray, FloatArray], origin: FloatArray, tx: FloatArray, rx: FloatArray, count: int) -> float:
+    """Largest share of a step along a line that changes the one-way range, over traces and the lines' ends (plus 10 %)."""
+    if count == 1:
+        return 0.0
+    first, step = found
+    some = np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int))
+    worst = 0.0
+    for i in some:
+        norm = float(np.linalg.norm(step[i]))
+        for m in (0, (count - 1) / 2, count - 1):
+            pixel = first[i] + m * step[i] - origin
+            for sensor in (tx, rx):
+                away = pixel - sensor
+                distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+                worst = max(worst, float(np.max(np.abs(away @ step[i]) / distance)) / max(norm, 1e-300))
+    return min(1.0, 1.1 * worst)

@@ -1,0 +1,42 @@
+"""What every test relies on: the same pysas in subprocesses, the folder of measured data, tests of the extension."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+import pysas
+
+# Subprocesses import the pysas that these tests import: `python -c` and `python -m` would put the working directory
+# first, where the sources lie without the compiled extension.
+os.environ["PYTHONSAFEPATH"] = "1"
+os.environ["PYTHONPATH"] = str(Path(pysas.__file__).parents[1])
+os.environ["MPLBACKEND"] = "Agg"
+
+hypothesis.settings.register_profile("pysas", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("pysas")
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of measured data."""
+    name = os.environ.get("PYSAS_DATA")
+    if not name:
+        pytest.skip("PYSAS_DATA does not name the folder of measured data")
+    if not Path(name).is_dir():
+        pytest.fail(f"PYSAS_DATA={name!r}: expected a folder")
+    return Path(name)
+
+
+NO_EXTENSION = "needs the compiled extension pysas.engine._core, which is not built"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    if importlib.util.find_spec("pysas.engine._core") is None:
+        for item in items:
+            if item.get_closest_marker("cpp"):
+                item.add_marker(pytest.mark.skip(reason=NO_EXTENSION))

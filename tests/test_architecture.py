@@ -1,0 +1,404 @@
+"""The rules between the layers, read from the sources: a change that breaks one fails here with the rule's name.
+
+Each rule is a function from source text to complaints, tested on a snippet that breaks it and then on the tree. The
+tree is the checkout the tests lie in, not the installed package.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+import pysas
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "pysas"
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path.read_text(encoding="utf-8")
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+PACKAGES = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}
+SCRIPTS = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for folder in ("bench", "examples")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+}
+
+DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
+EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas.tracks"}
+ALGORITHMS = MODULES.keys() - DATA_MODEL - EDGE
+ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised")
+INDEPENDENT = ("pysas.reference", "pysas.circular")
+OPTIONAL = {"matplotlib", "h5py", "xarray"}
+# public without standing in pysas.__all__: importing it needs an optional library
+PUBLIC_MODULES = {"plot"}
+PUBLIC_FUNCTIONS = {
+    "backproject", "ffbp", "focus", "plan", "simulate", "compress", "load", "save", "from_phase_history", "show_config",
+    "get_include", "get_library",
+}  # fmt: skip
+
+
+def within(name: str, package: str | Iterable[str]) -> bool:
+    """Whether a dotted name is a package (or one of several) or lies in it."""
+    packages = (package,) if isinstance(package, str) else package
+    return any(name == one or name.startswith(one + ".") for one in packages)
+
+
+def imports(text: str, module: str = "pysas.x", modules: Iterable[str] = (), packages: Iterable[str] = ()) -> set[str]:
+    """Dotted names a module imports anywhere; `from a import b` gives a.b where that is a module, else a.
+
+    Without `modules` every `from a import b` gives a.b. Imports by importlib with a constant name count as well.
+    """
+    known = set(modules)
+    found = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = module.split(".") if module in packages else module.split(".")[:-1]
+                parents = parents[: len(parents) - (node.level - 1)]
+                base = ".".join([*parents, *([node.module] if node.module else [])])
+            for alias in node.names:
+                full = f"{base}.{alias.name}"
+                found.add(full if not known or full in known else base)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("import_module", "__import__"):
+            found.update(a.value for a in node.args[:1] if isinstance(a, ast.Constant) and isinstance(a.value, str))
+    return found
+
+
+GRAPH = {name: {i for i in imports(text, name, MODULES, PACKAGES) if within(i, "pysas")} for name, text in MODULES.items()}
+
+
+def reach(start: str, graph: dict[str, set[str]]) -> set[str]:
+    """Modules that `start` imports, directly or not. The root package is not followed: it imports everything."""
+    found: set[str] = set()
+    left = [start]
+    while left:
+        for name in graph.get(left.pop(), set()) - found - {"pysas"}:
+            found.add(name)
+            left.append(name)
+    return found - {start}
+
+
+def test_the_tree_is_read() -> None:
+    assert {"pysas", "pysas.engine", "pysas.engine._numba", "pysas.reference.direct", "pysas.planner"} <= MODULES.keys()
+    assert {"pysas.echoes", "pysas.grid"} <= GRAPH["pysas.reference.direct"]
+
+
+def test_imports_are_found() -> None:
+    text = "import a.b\nfrom c import d\ndef f():\n    from .. import e\n    from .g import h\n    import_module('k.l')"
+    assert imports(text, "p.q.r") == {"a.b", "c.d", "p.e", "p.q.g.h", "k.l"}
+    assert imports("from . import e", "p.q", packages={"p.q"}) == {"p.q.e"}
+    assert imports("from p import f, e", "p.q", {"p.e"}) == {"p", "p.e"}
+    assert reach("a", {"a": {"b"}, "b": {"c", "pysas"}, "c": {"a"}, "pysas": {"d"}}) == {"b", "c"}
+
+
+# Rules 1 and 2: C++
+
+
+def code_of(text: str) -> str:
+    """C++ without comments and without what stands in quotes; #include lines stay whole."""
+    text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text, flags=re.DOTALL)
+    return "\n".join(
+        line if line.lstrip().startswith("#include") else re.sub(r'"(\\.|[^"\\])*"', '""', line) for line in text.splitlines()
+    )
+
+
+def python_in(text: str) -> list[str]:
+    return re.findall(r"#include.*(?:Python\.h|pybind11|numpy/).*|\bpybind11::\w+|\bPyObject\b", code_of(text))
+
+
+def loops_in(text: str) -> list[str]:
+    return re.findall(r"\b(?:for|while|do|goto|for_each|transform|accumulate)\b", code_of(text))
+
+
+def allocations_in(text: str) -> list[str]:
+    return re.findall(
+        r"\bnew\b|\b(?:m|c|re)alloc\b|\bstd::(?:vector|string|map|set|deque|list|unordered_\w+|function|\w+_ptr|array)\b",
+        code_of(text),
+    )
+
+
+def sources(*folders: str) -> dict[str, str]:
+    return {
+        str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+        for folder in folders
+        for path in sorted((ROOT / "csrc" / folder).rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_core_knows_no_python() -> None:
+    for bad in ("#include <Python.h>", '#include "pybind11/numpy.h"', "pybind11::object x;"):
+        assert python_in(bad)
+    assert not python_in("// no pybind11 here\n#include <cstdint>\n")
+    core = sources("include", "core", "kernels", "isa", "tests")
+    assert core
+    assert {name: found for name, text in core.items() if (found := python_in(text))} == {}
+
+
+def test_bindings_do_no_arithmetic() -> None:
+    assert loops_in("for (int i = 0; i < n; ++i) sum += x[i];") and loops_in("while(n--);")
+    assert not loops_in('m.def("f", &f, "Waits for a while.");  // for ever')
+    bind = sources("bind")
+    assert bind
+    assert {name: found for name, text in bind.items() if (found := loops_in(text))} == {}
+
+
+def test_kernels_allocate_nothing() -> None:
+    for bad in ("std::vector<float> x(n);", "float* x = new float[n];", "void* p = malloc(n);"):
+        assert allocations_in(bad)
+    assert not allocations_in("// a new one\nstatic inline float f(float x) { return std::sqrt(x); }")
+    kernels = {name: text for name, text in sources("kernels").items() if name.endswith(".inl")}
+    assert {name: found for name, text in kernels.items() if (found := allocations_in(text))} == {}
+
+
+UNSAFE = re.compile(r"ffast-math|funsafe-math|Ofast|march=native|mcpu=native|fp:fast|float_control|GCC\s+optimize")
+
+
+def test_no_flag_changes_arithmetic_or_ties_the_build_to_this_machine() -> None:
+    assert UNSAFE.search('FLAGS = ["-O3", "-ffast-math"]') and UNSAFE.search("CXXFLAGS += -march=native")
+    files = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("setup.py", "pyproject.toml", "Makefile")}
+    files |= sources(".")
+    assert {name: found for name, text in files.items() if (found := UNSAFE.findall(text))} == {}
+
+
+def numba_misuse(text: str) -> list[str]:
+    """Keywords of @njit that flush subnormals' meaning (all of fastmath) or start threads nobody can interrupt."""
+    return [
+        ast.unparse(keyword)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call)
+        for keyword in node.keywords
+        if keyword.arg in ("fastmath", "parallel") and isinstance(keyword.value, ast.Constant) and keyword.value.value is True
+    ]
+
+
+def test_numba_kernels_keep_ieee_arithmetic_and_leave_threads_to_the_caller() -> None:
+    assert numba_misuse("@njit(fastmath=True)\ndef f(): ...") == ["fastmath=True"]
+    assert numba_misuse("@njit(parallel=True)\ndef f(): ...") == ["parallel=True"]
+    assert {name: found for name, text in MODULES.items() if (found := numba_misuse(text))} == {}
+
+
+# Rule 3: one door to compiled code, one place for tol
+
+
+def compiled_imports(text: str) -> set[str]:
+    return {name for name in imports(text) if {"_core", "_numba"} & set(name.split("."))}
+
+
+def test_only_the_engine_imports_compiled_code() -> None:
+    assert compiled_imports("from pysas.engine import _numba") and compiled_imports("import pysas.engine._core")
+    assert compiled_imports("from pysas.engine._numba import BLOCK")
+    outside = {name: text for name, text in MODULES.items() if not within(name, "pysas.engine")}
+    assert {name: found for name, text in outside.items() if (found := compiled_imports(text))} == {}
+
+
+def names_in(text: str) -> set[str]:
+    """Every identifier: variables, arguments, keywords, attributes, fields."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        for field in ("id", "arg", "attr", "name"):
+            value = getattr(node, field, None)
+            if isinstance(value, str):
+                found.add(value)
+    return found
+
+
+def test_the_engine_does_not_know_tol() -> None:
+    for bad in ("def f(tol): ...", "f(tol=1)", "x = plan.tol", "tol = 1"):
+        assert "tol" in names_in(bad)
+    engine = {name: text for name, text in MODULES.items() if within(name, "pysas.engine")}
+    assert [name for name, text in engine.items() if "tol" in names_in(text)] == []
+
+
+def computed_tol(text: str) -> list[str]:
+    """Arithmetic, comparisons and function calls of mathematics on a name or attribute `tol`."""
+
+    def is_tol(node: ast.AST) -> bool:
+        return (isinstance(node, ast.Name) and node.id == "tol") or (isinstance(node, ast.Attribute) and node.attr == "tol")
+
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        operands: list[ast.expr] = []
+        if isinstance(node, ast.BinOp):
+            operands = [node.left, node.right]
+        elif isinstance(node, ast.UnaryOp):
+            operands = [node.operand]
+        elif isinstance(node, ast.Compare) and not isinstance(node.ops[0], ast.Is | ast.IsNot):
+            operands = [node.left, *node.comparators]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[0] in ("np", "math"):
+            operands = node.args
+        found += [ast.unparse(node) for operand in operands if is_tol(operand)]
+    return found
+
+
+def test_only_the_planner_turns_tol_into_choices() -> None:
+    for bad in ("n = 1 / tol", "if plan.tol < 1e-5: ...", "k = np.log10(tol)", "x = -tol"):
+        assert computed_tol(bad)
+    assert not computed_tol("plan(echoes, tol)\nif tol is None: ...\ntext = f'{tol:g}'")
+    others = {name: text for name, text in MODULES.items() if name != "pysas.planner"}
+    assert {name: found for name, text in others.items() if (found := computed_tol(text))} == {}
+
+
+def clashes(modules: Iterable[str], public: Iterable[str]) -> set[str]:
+    return {name for name in modules if name.split(".")[-1] in set(public)}
+
+
+def test_no_module_bears_the_name_of_a_public_function() -> None:
+    assert clashes(["pysas.backproject", "pysas.grid"], PUBLIC_FUNCTIONS) == {"pysas.backproject"}
+    callables = {name for name in pysas.__all__ if callable(getattr(pysas, name))}
+    assert clashes(MODULES, PUBLIC_FUNCTIONS | callables) == set()
+
+
+# Rule 4: the references are independent
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if within(name, INDEPENDENT)])
+def test_references_import_no_engine(module: str) -> None:
+    assert {name for name in reach(module, GRAPH) if within(name, ENGINE_SIDE)} == set()
+
+
+def test_an_engine_behind_another_module_is_found() -> None:
+    graph = {"pysas.reference.a": {"pysas.b"}, "pysas.b": {"pysas.engine.pool"}}
+    assert within("pysas.engine.pool", ENGINE_SIDE) and "pysas.engine.pool" in reach("pysas.reference.a", graph)
+
+
+def test_the_oracle_imports_only_the_data_model() -> None:
+    assert GRAPH["pysas.reference.direct"] <= {"pysas.echoes", "pysas.grid", "pysas.image"}
+    assert reach("pysas.reference.direct", GRAPH) <= DATA_MODEL
+
+
+def shared(first: str, second: str, graph: dict[str, set[str]]) -> set[str]:
+    """Modules that two packages both rely on, or that one of them has of the other."""
+
+    def all_of(package: str) -> set[str]:
+        members = {name for name in graph if within(name, package)}
+        return members | {name for member in members for name in reach(member, graph)}
+
+    return all_of(first) & all_of(second)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("pysas.simulation", "pysas.reference.direct"),
+        ("pysas.simulation", "pysas.engine"),
+        ("pysas.reference.direct", "pysas.engine"),
+    ],
+)
+def test_simulator_oracle_and_engine_share_no_delay_code(first: str, second: str) -> None:
+    assert shared(first, second, GRAPH) <= DATA_MODEL
+
+
+def test_shared_code_is_found() -> None:
+    graph = {"pysas.a": {"pysas.delays"}, "pysas.b.c": {"pysas.delays"}, "pysas.delays": set(), "pysas.d": {"pysas.a"}}
+    assert shared("pysas.a", "pysas.b", graph) == {"pysas.delays"}
+    assert shared("pysas.a", "pysas.d", graph) == {"pysas.a", "pysas.delays"}
+
+
+# Rule 5: files at the edge, optional libraries where they are used
+
+
+def test_files_know_no_algorithm_and_algorithms_no_file() -> None:
+    assert {"pysas.planner", "pysas.engine.pool"} <= ALGORITHMS
+    assert reach("pysas.io", GRAPH) & ALGORITHMS == set()
+    assert {name for name in ALGORITHMS | DATA_MODEL if "pysas.io" in reach(name, GRAPH)} == set()
+
+
+def file_access(text: str) -> list[str]:
+    found = [name for name in imports(text) if name.split(".")[0] in ("pathlib", "io", "h5py", "tempfile", "shutil")]
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            if name == "open" or re.fullmatch(r"np\.(load|save|savez\w*|loadtxt|savetxt|fromfile|memmap|genfromtxt)", name):
+                found.append(name)
+    return found
+
+
+def test_algorithms_open_no_file() -> None:
+    for bad in ("open('x')", "np.load('x')", "from pathlib import Path", "def f():\n    import h5py"):
+        assert file_access(bad)
+    inner = {name: MODULES[name] for name in ALGORITHMS | DATA_MODEL}
+    assert {name: found for name, text in inner.items() if (found := file_access(text))} == {}
+
+
+def on_import(node: ast.AST) -> Iterator[ast.AST]:
+    """Nodes that run when a module is imported: bodies of functions and of `if TYPE_CHECKING` do not."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        if isinstance(child, ast.If) and ast.unparse(child.test).split(".")[-1] == "TYPE_CHECKING":
+            continue
+        yield child
+        yield from on_import(child)
+
+
+def optional_imports(text: str) -> set[str]:
+    body = [node for node in on_import(ast.parse(text)) if isinstance(node, ast.Import | ast.ImportFrom)]
+    return {name for node in body for name in imports(ast.unparse(node)) if name.split(".")[0] in OPTIONAL}
+
+
+def test_optional_libraries_are_imported_where_they_are_used() -> None:
+    for bad in (
+        "import h5py",
+        "try:\n    import xarray as xr\nexcept ImportError:\n    xr = None",
+        "from matplotlib import pyplot",
+    ):
+        assert optional_imports(bad)
+    assert not optional_imports("def f():\n    import h5py\nif TYPE_CHECKING:\n    import xarray\n")
+    assert {name: found for name, text in MODULES.items() if (found := optional_imports(text))} == {}
+
+
+# Rule 6: benchmarks and examples use the public API
+
+
+def private_use(text: str, public: set[str]) -> set[str]:
+    """Names of pysas, imported or reached by attribute, that are not public or lead through something private."""
+
+    def hidden(parts: list[str]) -> bool:
+        return bool(parts) and (parts[0] not in public or any(re.match(r"_(?!_)", part) for part in parts))
+
+    found = {name for name in imports(text) if within(name, "pysas") and hidden(name.split(".")[1:])}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Attribute) and re.fullmatch(r"pysas(\.\w+)+", chain := ast.unparse(node)):
+            if hidden(chain.split(".")[1:]):
+                found.add(chain)
+    return found
+
+
+def test_benchmarks_and_examples_use_the_public_api_alone() -> None:
+    public = set(pysas.__all__) | PUBLIC_MODULES | {"__version__"}
+    for bad in (
+        "from pysas.engine import summation",
+        "import pysas.planner",
+        "from pysas import _checks",
+        "pysas.engine.pool()",
+    ):
+        assert private_use(bad, {"plan", "reference"})
+    assert not private_use("import pysas\nfrom pysas import plan\npysas.reference.exact()", {"plan", "reference"})
+    assert SCRIPTS
+    assert {name: found for name, text in SCRIPTS.items() if (found := private_use(text, public))} == {}
+
+
+# Size: what is longer than this holds more than one thing
+
+LONGEST = 500
+
+
+def test_modules_stay_short() -> None:
+    files = MODULES | SCRIPTS | sources(".")
+    assert {name: lines for name, text in files.items() if (lines := len(text.splitlines())) > LONGEST} == {}
+
+
+def test_the_package_file_holds_public_names_and_nothing_else() -> None:
+    body = ast.parse(MODULES["pysas"]).body
+    allowed = (ast.Import, ast.ImportFrom, ast.Assign, ast.AnnAssign)
+    body = body[1:] if ast.get_docstring(ast.parse(MODULES["pysas"])) else body
+    assert [ast.unparse(node) for node in body if not isinstance(node, allowed)] == []
