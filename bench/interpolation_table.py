@@ -48,7 +48,10 @@ def guard_table() -> tuple[int, ...]:
 def main() -> None:
     print("THETA = {")
     for degree, row in theta_table().items():
-        print(f"    {degree}: {row},")
+        print(f"    {degree}: (")
+        for first in range(0, len(row), 8):
+            print("        " + " ".join(f"{value}," for value in row[first : first + 8]))
+        print("    ),")
     print("}")
     print(f"GUARD = {guard_table()}")
 

@@ -56,9 +56,7 @@ def reals(name: str, value: Any, shapes: Sequence[tuple[int | str, ...]], labels
     if array.dtype.kind not in "iuf":
         raise TypeError(f"{name}: expected real numbers, found dtype {array.dtype}")
     if not any(_fits(array.shape, shape) for shape in shapes):
-        wanted = " or ".join(
-            "(" + ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")" for shape in shapes
-        )
+        wanted = " or ".join(f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" for shape in shapes)
         raise ValueError(f"{name}: expected shape {wanted}, found {array.shape}")
     array = np.asarray(array, dtype=np.float64)
     finite = np.isfinite(array)

@@ -194,7 +194,8 @@ class _Frame:
             blocks = np.concatenate([self.first[tile.first : tile.last] + tile.left * step, step], axis=1)
             if self.mask is None:
                 return np.empty((0, 3)), blocks, np.ones(len(blocks), dtype=np.bool_)
-            return np.empty((0, 3)), blocks, self.mask[tile.first : tile.last, tile.left : tile.right].any(axis=1)
+            part = self.mask[tile.first : tile.last, tile.left : tile.right]
+            return np.empty((0, 3)), blocks, np.asarray(part.any(axis=1))
         pixels = np.arange(tile.left, tile.right)
         rows = -(-pixels.size // self.count)
         padded = np.minimum(tile.left + np.arange(rows * self.count), tile.right - 1)

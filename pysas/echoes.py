@@ -266,6 +266,7 @@ class Echoes:
     def __repr__(self) -> str:
         median, largest = self.phase_centre_spacing()
         near, far = self.swath
+        track = float(np.sum(np.linalg.norm(np.diff(self.tx, axis=0), axis=1)))
         motion = "moving receivers" if self.velocity is not None else "stop-and-hop"
         lines = [
             f"Echoes: {self.n_ping} pings x {self.n_channel} channels x {self.n_sample} samples, {self.dtype}, "
@@ -273,8 +274,7 @@ class Echoes:
             f"  sampling   fs {self.fs:g} Hz = {self.fs / self.occupied_bandwidth:.3g} x bandwidth "
             f"{self.occupied_bandwidth:g} Hz, fc {self.fc:g} Hz, c {self.c:g} m/s",
             f"  swath      {near:.2f} to {far:.2f} m slant range, resolution {self.range_resolution * 100:.3g} cm",
-            f"  track      {np.sum(np.linalg.norm(np.diff(self.tx, axis=0), axis=1)):.3g} m, phase centres every {median:.3g} m "
-            f"(largest gap {largest:.3g} m), {motion}",
+            f"  track      {track:.3g} m, phase centres every {median:.3g} m (largest gap {largest:.3g} m), {motion}",
         ]
         if self.pulse is not None:
             lines.append(f"  pulse      {self.pulse if isinstance(self.pulse, LFM) else f'{self.pulse.size} samples'}")

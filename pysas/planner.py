@@ -29,10 +29,26 @@ from pysas.scene import Scene
 # Tables made by `python -m bench.interpolation_table`: THETA[degree][i] for errors 10^-(1 + i/2), GUARD[i] likewise.
 # fmt: off
 THETA = {
-    1: (0.6406309, 0.3570764, 0.2002508, 0.1125128, 0.0632535, 0.035567, 0.0200003, 0.0112469, 0.0063246, 0.0035566, 0.002, 0.0011247, 0.0006325, 0.0003557, 0.0002, 0.0001125, 6.32e-05, 3.56e-05, 2e-05, 1.12e-05, 6.3e-06, 3.6e-06, 2e-06),
-    3: (2.2029502, 1.6130996, 1.1948211, 0.8900513, 0.6650094, 0.4976756, 0.3727813, 0.2793691, 0.2094227, 0.1570134, 0.1177302, 0.0882796, 0.066198, 0.0496405, 0.0372247, 0.0279144, 0.0209328, 0.0156974, 0.0117713, 0.0088273, 0.0066195, 0.0049639, 0.0037224),
-    5: (3.948613, 3.1623589, 2.5629358, 2.0910409, 1.7129459, 1.4068107, 1.1573075, 0.9530982, 0.7854958, 0.647684, 0.5342275, 0.4407442, 0.3636746, 0.3001126, 0.2476771, 0.2044129, 0.1687115, 0.1392486, 0.1149327, 0.0948639, 0.0782999, 0.0646284, 0.0533442),
-    7: (5.7628304, 4.8302489, 4.0945778, 3.4942465, 2.9947886, 2.5741886, 2.2171415, 1.9123686, 1.651205, 1.4267877, 1.2335575, 1.0669348, 0.9230999, 0.7988365, 0.6914176, 0.5985186, 0.5181503, 0.4486054, 0.3884151, 0.3363139, 0.2912101, 0.2521608, 0.2183514),
+    1: (
+        0.6406309, 0.3570764, 0.2002508, 0.1125128, 0.0632535, 0.035567, 0.0200003, 0.0112469,
+        0.0063246, 0.0035566, 0.002, 0.0011247, 0.0006325, 0.0003557, 0.0002, 0.0001125,
+        6.32e-05, 3.56e-05, 2e-05, 1.12e-05, 6.3e-06, 3.6e-06, 2e-06,
+    ),
+    3: (
+        2.2029502, 1.6130996, 1.1948211, 0.8900513, 0.6650094, 0.4976756, 0.3727813, 0.2793691,
+        0.2094227, 0.1570134, 0.1177302, 0.0882796, 0.066198, 0.0496405, 0.0372247, 0.0279144,
+        0.0209328, 0.0156974, 0.0117713, 0.0088273, 0.0066195, 0.0049639, 0.0037224,
+    ),
+    5: (
+        3.948613, 3.1623589, 2.5629358, 2.0910409, 1.7129459, 1.4068107, 1.1573075, 0.9530982,
+        0.7854958, 0.647684, 0.5342275, 0.4407442, 0.3636746, 0.3001126, 0.2476771, 0.2044129,
+        0.1687115, 0.1392486, 0.1149327, 0.0948639, 0.0782999, 0.0646284, 0.0533442,
+    ),
+    7: (
+        5.7628304, 4.8302489, 4.0945778, 3.4942465, 2.9947886, 2.5741886, 2.2171415, 1.9123686,
+        1.651205, 1.4267877, 1.2335575, 1.0669348, 0.9230999, 0.7988365, 0.6914176, 0.5985186,
+        0.5181503, 0.4486054, 0.3884151, 0.3363139, 0.2912101, 0.2521608, 0.2183514,
+    ),
 }
 GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642)
 # fmt: on
@@ -51,9 +67,10 @@ class Choices:
     """What the planner settled on.
 
     precision : "float32" or "float64" of the inner loop; degree, oversampling : of the interpolation; n_fft, n_fine,
-    length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need; taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per
-    delay polynomial (0: exact delay per pixel); near : distance (m) below which delays are exact; trigonometry : terms of
-    the sine polynomial; batch : traces prepared at a time; errors : bound of each contribution.
+    length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
+    taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
+    pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
+    prepared at a time; errors : bound of each contribution.
     """
 
     precision: str
@@ -332,6 +349,7 @@ class Plan:
 
     def __str__(self) -> str:
         c, scene = self.choices, self.scene
+        shape = " x ".join(map(str, self.grid.shape))
         delay = (
             f"polynomials of degree {NODES - 1} over {c.block} pixels, exact below {c.near:.3g} m"
             if c.block
@@ -340,7 +358,7 @@ class Plan:
         kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
         return "\n".join(
             [
-                f"Plan: backprojection of {scene.traces} traces on {' x '.join(map(str, self.grid.shape))} pixels, tol {self.tol:g}",
+                f"Plan: backprojection of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
                 f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
                 f"  traces         {kept}, transforms of {c.n_fft} and {c.n_fine}",
                 f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",

@@ -63,7 +63,7 @@ def monomials(theta: FloatArray, degree: int) -> npt.NDArray[np.complex128]:
 def interpolator(
     length: int, n_fft: int, n_fine: int, degree: int, taper: int, beta: float, dtype: npt.DTypeLike
 ) -> Interpolator:
-    """Transfer functions in complex `dtype`; n_fine >= n_fft. `taper` samples at each end fall as a Kaiser window's integral."""
+    """Transfer functions in complex `dtype`; n_fine >= n_fft. `taper` samples at each end fall as a Kaiser integral."""
     f = scipy.fft.fftfreq(n_fft)
     theta = np.pi * f * n_fft / n_fine
     transfer = monomials(theta, degree) * (low_pass(f) * np.exp(1j * theta) * (n_fine / n_fft))
