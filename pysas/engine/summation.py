@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba, pool
+from pysas.engine import _numba
 from pysas.engine.preparation import Interpolator, coefficients
 
 _ROWS_PER_TASK = 8
