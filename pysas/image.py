@@ -136,7 +136,8 @@ class Image:
         lines = [
             f"Image: {self.data.dtype}, {report.method}{tol}, {report.backend} {report.threads} threads",
             f"  peak       {peak:.4g} at x {where[0]:.4f}, y {where[1]:.4f}, z {where[2]:.4f} m",
-            f"  time       {report.prepare_seconds:.3f} s to prepare, {report.sum_seconds:.3f} s to sum {report.terms:.4g} terms",
+            f"  time       {report.prepare_seconds:.3f} s preparation, {report.sum_seconds:.3f} s sum, "
+            f"{report.terms:.4g} terms",
         ]
         lines += [f"  note       {note}" for note in report.notes]
         return "\n".join(lines + ["  " + line for line in repr(self.grid).splitlines()])

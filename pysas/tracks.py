@@ -89,7 +89,8 @@ def circular(
     zero = np.zeros(n_ping)
     position = middle + radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
     velocity = speed * np.stack([-np.sin(angle), np.cos(angle), zero], axis=1)
-    return Track(position, velocity, angle + np.pi / 2, radius * (angle - angle[0]) / speed)
+    time = np.asarray(radius * (angle - angle[0]) / speed, dtype=np.float64)
+    return Track(position, velocity, np.asarray(angle + np.pi / 2, dtype=np.float64), time)
 
 
 def array(track: Track, n_channel: int, spacing: float, *, offset: npt.ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
