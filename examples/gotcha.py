@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pysas.plot
 
 import pysas
+import pysas.plot
 
 NAME = "gotcha_phase_history.npz"
 CLEAR = 2.0, 6.0  # m: a point is isolated if the ring between these radii about it is ...

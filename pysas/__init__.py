@@ -1,1 +1,21 @@
+"""pysas: an imaging engine for synthetic aperture sonar. State a relative error `tol`; the engine keeps it."""
+
+from pysas import metrics, reference, tracks
+from pysas.backprojection import backproject
+from pysas.compression import compress
+from pysas.echoes import Beam, Echoes
+from pysas.engine import show_config
+from pysas.grid import Grid
+from pysas.image import Image, Report
+from pysas.io import load, save
+from pysas.phase_history import from_phase_history
+from pysas.planner import plan
+from pysas.pulse import LFM
+from pysas.simulation import simulate
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "compress", "from_phase_history", "load",
+    "metrics", "plan", "reference", "save", "show_config", "simulate", "tracks",
+]  # fmt: skip

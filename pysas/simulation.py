@@ -1,12 +1,14 @@
-"""Raw echoes of point scatterers, evaluated from the analytic pulse at exact delays; nothing is interpolated.
+"""Point scenes to raw echoes: every sample from the analytic pulse at the exact delay, nothing interpolated.
 
-The quadratic phase of a pulse is advanced from sample to sample by a complex recurrence restarted every 128 samples, which
-keeps it within 1e-13 of direct evaluation. Pings are independent tasks on worker threads; memory is one trace buffer per
-thread. Shares no delay code with the engine or the oracle.
+A trace is the sum of amplitude waveform(t - tau, fc) exp(-2j pi fc tau) over the points, in complex128 and in the order of
+the points, so the echoes are bit-identical for any number of threads. The delays here are this module's own: the oracle
+and the engine have theirs, so that none can hide another's mistake. The kernels run without the GIL, in tasks short
+enough for Ctrl-C.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,29 +16,47 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.fft
 from numba import njit
 
 from pysas import _checks, _pool
-from pysas._checks import FloatArray
+from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.pulse import LFM, WINDOWS
 
-_CHUNK = 4096
-_RESTART = 128
-_ALIAS_WARNING = 0.01
+_TASK_SAMPLES = 1 << 22  # echo samples of one task: some tens of milliseconds
+_BLOCK_BYTES = 32 * 2**20  # of traces being summed in complex128
+_ALIASED_NORM = 0.01  # above this share of the pulse's norm outside the sampled band: warn
+_RESTART = 64  # samples of the phase recurrence between exact values: its error grows as their square, to 5e-13
+_RECT, _GAUSSIAN, _TUKEY, _TAYLOR = (WINDOWS.index(name) for name in ("rect", "gaussian", "tukey", "taylor"))
+# columns of an element's row: boresight, along and up (3 each), length, height
+_LENGTH, _HEIGHT, _ELEMENT = 9, 10, 11
+
+Complex = npt.NDArray[np.complex128]
+
+
+class AliasingWarning(UserWarning):
+    """The pulse has energy outside the band that the sample rate can hold."""
 
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """Rectangular transducer face with the two-way-independent pattern sinc(f L u_along/c) sinc(f H u_up/c).
+    """A flat rectangular transmitter or receiver with an evenly driven face.
+
+    Its pattern at frequency f towards a unit vector u is sinc(f length u.along / c) sinc(f height u.up / c), with
+    sinc(x) = sin(pi x)/(pi x) and up = along x boresight; zero behind the face (u.boresight <= 0).
 
     Parameters
     ----------
     length, height : float
-        Along-track and vertical size, m; height 0: no vertical pattern.
-    boresight, along : (3,) or (ping, 3) array_like
-        Normal of the face and its along-track axis; made unit length, `along` made perpendicular to `boresight`. Nothing
-        is heard behind the face.
+        Along `along` and across it, m, >= 0; 0: no directivity in that plane.
+    boresight, along : (3,) or (ping, 3)
+        Directions of the face's normal and of its length, at right angles; normalised here.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A negative size, a zero vector, or vectors not at right angles (cosine above 1e-6).
     """
 
     length: float
@@ -45,140 +65,31 @@ class Element:
     along: npt.ArrayLike = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "length", _checks.number("length", self.length, positive=True))
-        object.__setattr__(self, "height", _checks.number("height", self.height, low=0.0))
-        boresight = _checks.reals("boresight", self.boresight, [(3,), ("ping", 3)], ("ping",))
-        along = _checks.reals("along", self.along, [(3,), ("ping", 3)], ("ping",))
-        norm = np.linalg.norm(boresight, axis=-1, keepdims=True)
-        if not np.all(norm > 0):
-            raise ValueError(f"boresight={self.boresight!r}: expected non-zero vectors")
-        boresight = boresight / norm
-        across = along - np.sum(along * boresight, axis=-1, keepdims=True) * boresight
-        norm = np.linalg.norm(across, axis=-1, keepdims=True)
-        if not np.all(norm > 1e-9):
-            raise ValueError(f"along={self.along!r}: expected vectors not parallel to boresight")
-        object.__setattr__(self, "boresight", boresight)
-        object.__setattr__(self, "along", across / norm)
-
-    def axes(self, pings: int, name: str) -> FloatArray:
-        """(ping, 11): length, height, then boresight, along and up unit vectors."""
+        for name in ("length", "height"):
+            object.__setattr__(self, name, _checks.number(name, getattr(self, name), low=0.0))
+        for name in ("boresight", "along"):
+            vector = _checks.reals(name, getattr(self, name), [(3,), ("ping", 3)], ("ping",))
+            norm = np.linalg.norm(vector, axis=-1, keepdims=True)
+            if not np.all(norm > 0):
+                raise ValueError(f"{name}={getattr(self, name)!r}: expected non-zero vectors")
+            object.__setattr__(self, name, vector / norm)
         boresight, along = np.asarray(self.boresight), np.asarray(self.along)
-        for vectors in (boresight, along):
-            if vectors.shape not in ((3,), (pings, 3)):
-                raise ValueError(f"{name}: vectors of shape {vectors.shape}: expected (3,) or ({pings}, 3)")
-        boresight, along = np.broadcast_to(boresight, (pings, 3)), np.broadcast_to(along, (pings, 3))
-        sizes = np.tile([self.length, self.height], (pings, 1))
-        return np.concatenate([sizes, boresight, along, np.cross(along, boresight)], axis=1)
+        if boresight.ndim == along.ndim == 2 and len(boresight) != len(along):
+            raise ValueError(f"along: {len(along)} vectors: expected one, or one per boresight ({len(boresight)})")
+        cosine = float(np.max(np.abs(np.sum(boresight * along, axis=-1)), initial=0.0))
+        if cosine > 1e-6:
+            raise ValueError(f"along={self.along!r}: cosine {cosine:.3g} with boresight: expected right angles")
 
-
-@njit(nogil=True, cache=True)
-def _delay(x, tx, rx, velocity, c):  # type: ignore[no-untyped-def]
-    """Two-way travel time, s: c tau = |x - tx| + |x - rx - v tau|, iterated until it moves less than 1e-15 s."""
-    there = np.sqrt((x[0] - tx[0]) ** 2 + (x[1] - tx[1]) ** 2 + (x[2] - tx[2]) ** 2)
-    tau = 0.0
-    for _ in range(60):
-        dx, dy, dz = x[0] - rx[0] - velocity[0] * tau, x[1] - rx[1] - velocity[1] * tau, x[2] - rx[2] - velocity[2] * tau
-        new = (there + np.sqrt(dx * dx + dy * dy + dz * dz)) / c
-        moved = abs(new - tau)
-        tau = new
-        if moved < 1e-15:
-            break
-    return tau
-
-
-@njit(nogil=True, cache=True)
-def _face(x, at, axes):  # type: ignore[no-untyped-def]
-    """Delays across the face, L u_along and H u_up (m), of the direction from `at` to `x`; NaN behind the face."""
-    dx, dy, dz = x[0] - at[0], x[1] - at[1], x[2] - at[2]
-    r = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if r == 0.0 or dx * axes[2] + dy * axes[3] + dz * axes[4] <= 0.0:
-        return np.nan, np.nan
-    along = (dx * axes[5] + dy * axes[6] + dz * axes[7]) / r
-    up = (dx * axes[8] + dy * axes[9] + dz * axes[10]) / r
-    return axes[0] * along, axes[1] * up
-
-
-@njit(nogil=True, cache=True)
-def _sinc(x):  # type: ignore[no-untyped-def]
-    return 1.0 if x == 0.0 else np.sin(np.pi * x) / (np.pi * x)
-
-
-@njit(nogil=True, cache=True)
-def _envelope(window, u, duration, parameter, taylor):  # type: ignore[no-untyped-def]
-    if window == 1:
-        return np.exp(-u * u / (2 * parameter * parameter))
-    if window == 2:
-        edge = 2 * abs(u) / duration - 1 + parameter
-        return 1.0 if edge <= 0 else 0.5 + 0.5 * np.cos(np.pi * edge / parameter)
-    if window == 3:
-        total = 1.0
-        for m in range(1, taylor.size):
-            total += 2 * taylor[m] * np.cos(2 * np.pi * m * u / duration)
-        return total * taylor[0]
-    return 1.0
-
-
-@njit(nogil=True, cache=True)
-def _add_echoes(points, amplitudes, tx, rx, velocity, tx_axes, rx_axes, scales, window, taylor, spreading, trace):  # type: ignore[no-untyped-def]
-    """Add all points' echoes of one ping to `trace` (channel, sample).
-
-    scales: c, fs, t0, demodulation fc, pulse fc, rate, duration, window parameter, half the support.
-    """
-    c, fs, t0, fc, pulse_fc = scales[0], scales[1], scales[2], scales[3], scales[4]
-    rate, duration, parameter, reach = scales[5], scales[6], scales[7], scales[8]
-    dt = 1 / fs
-    offset = pulse_fc - fc
-    turn = np.exp(2j * np.pi * rate * dt * dt)
-    patterned = tx_axes.size > 0 or rx_axes.size > 0
-    for channel in range(rx.shape[0]):
-        for point in range(points.shape[0]):
-            x = points[point]
-            tau = _delay(x, tx, rx[channel], velocity[channel], c)
-            centre = tau + duration / 2 - t0
-            first = max(int(np.ceil((centre - reach) * fs)), 0)
-            last = min(int(np.floor((centre + reach) * fs)), trace.shape[1] - 1)
-            if last < first:
-                continue
-            amplitude = amplitudes[point]
-            there = np.sqrt((x[0] - tx[0]) ** 2 + (x[1] - tx[1]) ** 2 + (x[2] - tx[2]) ** 2)
-            if spreading:
-                amplitude = amplitude / (there * (c * tau - there))
-            a1, a2, b1, b2 = 0.0, 0.0, 0.0, 0.0
-            if tx_axes.size > 0:
-                a1, a2 = _face(x, tx, tx_axes)
-            if rx_axes.size > 0:
-                at = rx[channel] + velocity[channel] * tau
-                b1, b2 = _face(x, at, rx_axes)
-            if np.isnan(a1) or np.isnan(b1):
-                continue
-            carrier = fc * tau
-            carrier = amplitude * np.exp(-2j * np.pi * (carrier - np.floor(carrier)))
-            value, step = 0j, 0j
-            for n in range(first, last + 1):
-                u = n * dt - centre
-                if (n - first) % _RESTART == 0:
-                    value = carrier * np.exp(1j * np.pi * (rate * u + 2 * offset) * u)
-                    step = np.exp(1j * np.pi * (rate * (2 * u + dt) + 2 * offset) * dt)
-                gain = _envelope(window, u, duration, parameter, taylor) if window else 1.0
-                if patterned:
-                    f = (pulse_fc + rate * u) / c
-                    gain *= _sinc(f * a1) * _sinc(f * a2) * _sinc(f * b1) * _sinc(f * b2)
-                trace[channel, n] += gain * value
-                value *= step
-                step *= turn
-
-
-def aliased_share(pulse: LFM, fs: float, fc: float | None = None) -> float:
-    """Share of the pulse's energy outside |f - fc| <= fs/2, by quadrature of its spectrum.
-
-    The band's energy is integrated on a grid finer than 1/(8 duration); the total is the pulse's closed form (Parseval).
-    """
-    centre = (pulse.fc if fc is None else fc) - pulse.fc
-    span = pulse.support[1] - pulse.support[0]
-    count = int(np.ceil(fs * span * 8)) | 1
-    f = np.linspace(centre - fs / 2, centre + fs / 2, max(count, 2001))
-    inside = float(np.trapezoid(np.abs(pulse.spectrum(f)) ** 2, f))
-    return max(0.0, 1 - inside / pulse.energy)
+    def _rows(self, name: str, n_ping: int) -> FloatArray:
+        """(ping, _ELEMENT) rows for the kernel."""
+        vectors = []
+        for field in ("boresight", "along"):
+            vector = np.asarray(getattr(self, field), dtype=np.float64)
+            if vector.ndim == 2 and len(vector) != n_ping:
+                raise ValueError(f"{name}: {field} of shape {vector.shape}: expected (3,) or ({n_ping}, 3)")
+            vectors.append(np.broadcast_to(vector, (n_ping, 3)))
+        sizes = np.broadcast_to([self.length, self.height], (n_ping, 2))
+        return np.concatenate([*vectors, np.cross(vectors[1], vectors[0]), sizes], axis=1)
 
 
 def simulate(
@@ -201,143 +112,413 @@ def simulate(
     seed: int | None = None,
     dtype: npt.DTypeLike = np.complex64,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
     ping_time: npt.ArrayLike | None = None,
     attrs: Mapping[str, Any] | None = None,
 ) -> Echoes:
-    """Raw echoes of point scatterers.
+    """Raw echoes of point targets.
+
+    A point of amplitude A adds A waveform(t - tau, fc) exp(-2j pi fc tau), with the two-way travel time tau the root of
+    c tau = |x - tx| + |x - rx - velocity tau|, to every trace; what falls outside the record is cut (Sathishkumar et al.,
+    Eqs 1-2, without stop-and-hop). No Doppler scale of the pulse, no absorption, no multiple scattering.
 
     Parameters
     ----------
-    points : (point, 3) array_like
+    points : (point, 3)
         Positions, m.
-    amplitudes : (point,) array_like
+    amplitudes : (point,)
         Real or complex.
     pulse : LFM
-    tx : (ping, 3) array_like
-        Transmitter at transmission, m.
-    rx : (ping, channel, 3) or (ping, 3) array_like
-        Receivers at transmission, m; decides the shape of the data.
+        Its leading edge leaves the transmitter at t = 0.
+    tx : (ping, 3)
+        Transmitter at the instant of transmission, m.
+    rx : (ping, channel, 3) or (ping, 3)
+        Receivers at the instant of transmission, m; the data are (ping, channel, sample) or (ping, sample) accordingly.
     fs : float
         Sample rate, Hz.
     duration : float
-        Length of the record, s: ceil(duration fs) samples from t0.
+        Length of the record, s, at least the pulse's; sample n = 0 ... ceil(duration fs) - 1 is at t0 + n/fs.
     c : float
         Sound speed, m/s.
     t0 : float or (ping,)
         Time of sample 0 after the start of transmission, s.
     velocity : (ping, 3) or (ping, channel, 3), optional
-        Receivers' velocity until the echo arrives, m/s; the delay is solved to 1e-15 s.
+        Receivers' velocity until the echo arrives, m/s. None: stop-and-hop.
     fc : float, optional
         Demodulation frequency, Hz; default: the pulse's.
     spreading : bool
-        Divide by both ranges (spherical spreading, m).
+        Divide by |x - tx| |x - rx(tau)| in m^2 (1/r each way).
     tx_element, rx_element : Element, optional
-        Frequency-dependent patterns at the pulse's instantaneous frequency.
+        Directivity, at the pulse's instantaneous frequency at each sample and, for receivers, from where they are at
+        reception. None: omnidirectional.
     snr_db : float, optional
-        Adds complex white Gaussian noise this far below the mean power of all samples of the record.
+        Adds complex white Gaussian noise: 10 log10 of the mean |signal|^2 over all samples of all traces (those without
+        an echo too) to the variance of the noise. None: no noise.
     seed : int, optional
-        Of the noise; None draws a fresh one.
+        Of the noise; each (ping, channel) has its own stream of it. None: different every time.
     dtype : complex64 or complex128
+        Of the data; sums are complex128.
     threads : int, optional
-        The result does not depend on it.
+        Worker threads; default PYSAS_NUM_THREADS or all processors. The result is the same for any number.
     progress : callable, optional
-        Called with the share done, 0 to 1.
-    ping_time, attrs : optional
-        Handed to the Echoes.
+        Called with the fraction done now and then.
+    ping_time, attrs
+        As in `Echoes`.
 
     Returns
     -------
     Echoes
-        compressed=False.
+        With compressed=False and `pulse`.
 
     Raises
     ------
     ValueError, TypeError
-        A wrong argument; names it.
+        An argument outside its range, of the wrong shape or type; the message names it and what is expected. With
+        `spreading`, a point on a transmitter or receiver.
 
     Warns
     -----
-    UserWarning
-        More than 1 % of the pulse's energy lies outside fs and aliases.
+    AliasingWarning
+        More than 1 % of the pulse's norm lies outside fs/2 either side of fc.
 
     Notes
     -----
-    O(pings channels points pulse samples). The sum over points of a trace is in complex128 and in order of the points.
+    O(points pings channels (1 + pulse duration fs)) time; the data and about 32 MB of work in memory.
     """
     if not isinstance(pulse, LFM):
-        raise TypeError(f"pulse={pulse!r}: expected a pysas.LFM")
-    where = _checks.reals("points", points, [("point", 3)], ("point",))
-    if where.shape[0] == 0:
-        raise ValueError("points: expected at least one point, found none")
-    strength = np.asarray(amplitudes)
-    if strength.dtype.kind not in "iufc":
-        raise TypeError(f"amplitudes: expected numbers, found dtype {strength.dtype}")
-    if strength.shape != where.shape[:1]:
-        raise ValueError(f"amplitudes: expected shape {where.shape[:1]}, found {strength.shape}")
-    if not np.all(np.isfinite(strength)):
-        raise ValueError(f"amplitudes: non-finite at point {int(np.argmax(~np.isfinite(strength)))}: expected finite values")
-    strength = strength.astype(np.complex128)
-    kind = np.dtype(dtype)
-    if kind not in (np.dtype(np.complex64), np.dtype(np.complex128)):
-        raise TypeError(f"dtype={dtype!r}: expected complex64 or complex128")
+        raise TypeError(f"pulse={type(pulse).__name__}: expected a pysas.LFM")
     fs = _checks.number("fs", fs, positive=True)
-    samples = int(np.ceil(_checks.number("duration", duration, positive=True) * fs - 1e-9))
     fc = pulse.fc if fc is None else _checks.number("fc", fc, positive=True)
-    receivers = _checks.reals("rx", rx, [("ping", "channel", 3), ("ping", 3)], ("ping", "channel"))
-    shape = (*receivers.shape[:-1], samples)
-    if 0 in shape:
-        raise ValueError(f"rx: expected at least one ping and channel, found shape {receivers.shape}")
-    data = np.zeros(shape, dtype=kind)
-    geometry: dict[str, Any] = {"tx": tx, "t0": t0, "velocity": velocity, "ping_time": ping_time}
-    echoes = Echoes(data, fs=fs, fc=fc, rx=receivers, c=c, pulse=pulse, compressed=False, attrs=attrs or {}, **geometry)
+    place = np.ascontiguousarray(_checks.reals("points", points, [("point", 3)], ("point",)))
+    strength = _amplitudes(amplitudes, len(place))
+    transmitters = _checks.reals("tx", tx, [("ping", 3)], ("ping",))
+    n_ping = len(transmitters)
+    receivers = _checks.reals("rx", rx, [(n_ping, "channel", 3), (n_ping, 3)], ("ping", "channel"))
+    if receivers.size == 0:
+        raise ValueError(f"rx: shape {receivers.shape}: expected at least one ping and one channel")
+    if not isinstance(spreading, bool | np.bool_):
+        raise TypeError(f"spreading={spreading!r}: expected True or False")
     if snr_db is not None:
         snr_db = _checks.number("snr_db", snr_db)
+    if seed is not None:
+        seed = _checks.whole("seed", seed, low=0)
+    if progress is not None and not callable(progress):
+        raise TypeError(f"progress={progress!r}: expected a callable or None")
     workers = _checks.threads(threads)
-    share = aliased_share(pulse, fs, fc)
-    if share > _ALIAS_WARNING:
-        warnings.warn(f"{100 * share:.2g} % of the pulse's energy lies outside fs={fs:g} Hz and aliases", stacklevel=2)
-
-    moving = echoes.receiver_velocity
-    rest = np.zeros((echoes.n_channel, 3))
-    none = np.zeros(0)
-    faces = [
-        None if element is None else element.axes(echoes.n_ping, name)
-        for name, element in (("tx_element", tx_element), ("rx_element", rx_element))
-    ]
-    scale, terms = pulse._taylor if pulse.window == "taylor" else (0.0, none)
-    taylor = np.concatenate([[scale], terms])
-    half = (pulse.support[1] - pulse.support[0]) / 2
-    window = WINDOWS.index(pulse.window)
-    traces = echoes.traces
-
-    def ping_task(ping: int) -> None:
-        buffer = np.zeros((echoes.n_channel, samples), dtype=np.complex128)
-        start, parameter = echoes.start_time[ping], pulse.window_parameter or 0.0
-        scales = np.array([echoes.c, fs, start, fc, pulse.fc, pulse.rate, pulse.duration, parameter, half])
-        axes = [none if face is None else face[ping] for face in faces]
-        for begin in range(0, where.shape[0], _CHUNK):
-            _add_echoes(
-                where[begin : begin + _CHUNK], strength[begin : begin + _CHUNK], echoes.tx[ping], echoes.receivers[ping],
-                rest if moving is None else np.ascontiguousarray(moving[ping]), axes[0], axes[1], scales, window, taylor,
-                spreading, buffer,
-            )  # fmt: skip
-        traces[ping] = buffer
-
-    def tick(done: int) -> None:
-        assert progress is not None
-        progress(done / echoes.n_ping)
-
-    _pool.run(ping_task, echoes.n_ping, workers, None if progress is None else tick)
+    elements = []
+    for name, element in (("tx_element", tx_element), ("rx_element", rx_element)):
+        if element is not None and not isinstance(element, Element):
+            raise TypeError(f"{name}={element!r}: expected a pysas.simulation.Element or None")
+        elements.append(np.zeros((n_ping, _ELEMENT)) if element is None else element._rows(name, n_ping))
+    shape = (*receivers.shape[:-1], _n_sample(duration, fs, pulse))
+    # validates what is left before the work starts; the samples are filled in below
+    echoes = Echoes(
+        np.zeros(shape, dtype=_complex_type(dtype)),
+        fs=fs,
+        fc=fc,
+        tx=transmitters,
+        rx=receivers,
+        c=c,
+        t0=t0,  # type: ignore[arg-type]
+        velocity=velocity,  # type: ignore[arg-type]
+        pulse=pulse,
+        compressed=False,
+        ping_time=ping_time,  # type: ignore[arg-type]
+        attrs={} if attrs is None else attrs,
+    )
+    share = _aliased(pulse, fc, fs)
+    if math.sqrt(share) > _ALIASED_NORM:
+        warnings.warn(
+            f"fs={fs:g} Hz: {math.sqrt(share):.2g} of the pulse's norm ({share:.2g} of its energy) lies outside "
+            f"{fc:g} +- {fs / 2:g} Hz and aliases",
+            AliasingWarning,
+            stacklevel=2,
+        )
+    directive = (tx_element is not None, rx_element is not None)
+    power = _fill(echoes, place, strength, bool(spreading), elements, directive, workers, progress)
     if snr_db is not None:
-        _add_noise(traces, snr_db, seed)
+        if not power > 0:
+            raise ValueError(f"snr_db={snr_db!r}: no echo lies in the record: expected a signal to measure noise against")
+        _add_noise(echoes.traces, power * 10 ** (-snr_db / 10), seed, workers)
     return echoes
 
 
-def _add_noise(traces: npt.NDArray[np.complexfloating[Any, Any]], snr_db: float, seed: int | None) -> None:
-    """White complex noise of variance mean |sample|^2 / 10^(snr/10), one generator per ping."""
-    power = float(np.mean([np.mean(np.abs(trace).astype(np.float64) ** 2) for trace in traces]))
-    spread = np.sqrt(power / 10 ** (snr_db / 10) / 2)
-    for trace, stream in zip(traces, np.random.SeedSequence(seed).spawn(len(traces)), strict=True):
-        draw = np.random.default_rng(stream)
-        trace += (spread * (draw.standard_normal(trace.shape) + 1j * draw.standard_normal(trace.shape))).astype(trace.dtype)
+def _amplitudes(value: npt.ArrayLike, n_point: int) -> Complex:
+    array = _checks.array_like("amplitudes", value)
+    if array.dtype.kind not in "iufc":
+        raise TypeError(f"amplitudes: expected real or complex numbers, found dtype {array.dtype}")
+    if array.shape != (n_point,):
+        raise ValueError(f"amplitudes: expected shape ({n_point},), one per point, found {array.shape}")
+    if not np.isfinite(array).all():
+        index = int(np.argmax(~np.isfinite(array)))
+        raise ValueError(f"amplitudes: {array[index]} at point {index}: expected finite values")
+    return np.ascontiguousarray(array, dtype=np.complex128)
+
+
+def _complex_type(value: npt.DTypeLike) -> np.dtype[Any]:
+    try:
+        dtype = np.dtype(value)
+    except TypeError:
+        raise TypeError(f"dtype={value!r}: expected complex64 or complex128") from None
+    if dtype not in (np.dtype(np.complex64), np.dtype(np.complex128)):
+        raise TypeError(f"dtype={dtype}: expected complex64 or complex128")
+    return dtype
+
+
+def _n_sample(duration: float, fs: float, pulse: LFM) -> int:
+    duration = _checks.number("duration", duration, positive=True)
+    if duration < pulse.duration:
+        raise ValueError(f"duration={duration!r}: expected at least the pulse's {pulse.duration:g} s")
+    if duration * fs >= 2**31:
+        raise ValueError(f"duration={duration!r}: {duration * fs:.3g} samples: expected fewer than 2^31")
+    return math.ceil(duration * fs * (1 - 1e-12))  # 0.07 s at 100 kHz is 7000 samples, not 7001
+
+
+def _aliased(pulse: LFM, fc: float, fs: float) -> float:
+    """Share of the pulse's energy outside fs/2 either side of fc: Parseval, on a fine midpoint grid of the waveform."""
+    start, stop = pulse.support
+    reach = abs(pulse.fc - fc) + pulse.occupied_bandwidth / 2
+    samples = (stop - start) * max(fs, 2 * reach)
+    finer = min(max(2**18 / samples, 4.0), 32.0)
+    n = math.ceil(finer * samples)
+    step = (stop - start) / n
+    waveform = pulse.waveform(start + (np.arange(n) + 0.5) * step, fc)
+    size = scipy.fft.next_fast_len(4 * n)
+    power = np.abs(scipy.fft.fft(waveform, size)) ** 2
+    # the band's edges lie between two bins: integrate the power linearly up to them
+    frequency = np.fft.fftshift(np.fft.fftfreq(size, step))
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (np.fft.fftshift(power)[1:] + np.fft.fftshift(power)[:-1]))])
+    low, high = np.interp([-fs / 2, fs / 2], frequency, total)
+    return float(max(1 - (high - low) / power.sum(), 0.0))
+
+
+def _fill(
+    echoes: Echoes,
+    points: FloatArray,
+    amplitudes: Complex,
+    spreading: bool,
+    elements: list[FloatArray],
+    directive: tuple[bool, bool],
+    workers: int,
+    progress: Callable[[float], object] | None,
+) -> float:
+    """Sum the echoes into `echoes.data`; returns the mean |signal|^2.
+
+    Traces are summed in blocks of bounded memory, points in chunks of bounded time: a task is one trace and one chunk.
+    """
+    pulse = echoes.pulse
+    assert isinstance(pulse, LFM)
+    traces = echoes.traces
+    n_ping, n_channel, n_sample = traces.shape
+    tx, rx = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C")
+    moving = echoes.receiver_velocity
+    velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
+    start = np.array(echoes.start_time)
+    model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
+    length = (pulse.support[1] - pulse.support[0]) * echoes.fs
+    step = max(1, int(_TASK_SAMPLES / (16 + length) / (1 + 4 * (directive[0] + directive[1]))))
+    rows = max(workers, _BLOCK_BYTES // (16 * n_sample))
+    n_trace, chunks = n_ping * n_channel, range(0, max(len(points), 1), step)
+    power = np.zeros(n_trace)
+    total, finished = n_trace * len(chunks), 0
+
+    def add(trace: int, first: int, sums: Complex) -> None:
+        ping, channel = divmod(trace, n_channel)
+        geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
+        faces = (elements[0][ping], elements[1][ping])
+        last = min(first + step, len(points))
+        bad = _add_echoes(sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive)
+        if bad >= 0:
+            where = f"point {bad} at {points[bad]} lies on the transmitter or receiver of ping {ping}, channel {channel}"
+            raise ValueError(f"points: {where}: expected distances > 0 with spreading=True")
+
+    def tick(done: int) -> None:
+        if progress is not None:
+            progress((finished + done) / total)
+
+    for block in range(0, n_trace, rows):
+        count = min(rows, n_trace - block)
+        sums = np.zeros((count, n_sample), dtype=np.complex128)
+        for first in chunks:
+
+            def task(row: int, first: int = first, block: int = block, sums: Complex = sums) -> None:
+                add(block + row, first, sums[row])
+                if first == chunks[-1]:
+                    power[block + row] = _power(sums[row])
+                    traces[divmod(block + row, n_channel)] = sums[row]
+
+            _pool.run(task, count, workers, None if progress is None else tick)
+            finished += count
+    return float(power.sum()) / (n_trace * n_sample)
+
+
+def _model(pulse: LFM, fc: float, fs: float, c: float) -> tuple[tuple[float, ...], int, tuple[float, ...]]:
+    """What the kernel needs of pulse and sampling, the window's number, and the window's terms."""
+    half = (pulse.support[1] - pulse.support[0]) / 2
+    model = (pulse.fc, pulse.rate, pulse.duration, half, fc, fs, c)
+    parameter = pulse.window_parameter or 0.0
+    window = WINDOWS.index(pulse.window)
+    terms = (parameter, 0.0, 0.0, 0.0)
+    if window == _TUKEY and parameter == 0:
+        window = _RECT
+    if window == _GAUSSIAN:
+        terms = (1 / (2 * parameter**2), 0.0, 0.0, 0.0)
+    if window == _TAYLOR:
+        # cos(2x) and cos(3x) as polynomials of cos(x)
+        scale, (a, b, d) = pulse._taylor
+        terms = (scale * (1 - 2 * b), scale * (2 * a - 6 * d), scale * 4 * b, scale * 8 * d)
+    return model, window, terms
+
+
+def _add_noise(traces: ComplexArray, variance: float, seed: int | None, workers: int) -> None:
+    """Add complex white Gaussian noise: a stream per ping, of which each channel has its own."""
+    n_ping, n_channel, n_sample = traces.shape
+    entropy = np.random.SeedSequence(seed).entropy
+    scale = math.sqrt(variance / 2)
+
+    def task(trace: int) -> None:
+        ping, channel = divmod(trace, n_channel)
+        rng = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(ping, channel)))
+        noise = scale * rng.standard_normal((n_sample, 2)).view(np.complex128)[:, 0]
+        traces[ping, channel] = traces[ping, channel] + noise
+
+    _pool.run(task, n_ping * n_channel, workers)
+
+
+# Kernels. Everything below trusts its arguments; Numba infers the types.
+
+
+@njit(nogil=True, cache=False)
+def _delay(x, y, z, tx, rx, v, c):  # type: ignore[no-untyped-def]
+    """Travel time tau (s), range from the transmitter, and vector to the point from the receiver at reception (m)."""
+    there = math.sqrt((x - tx[0]) ** 2 + (y - tx[1]) ** 2 + (z - tx[2]) ** 2)
+    dx, dy, dz = x - rx[0], y - rx[1], z - rx[2]
+    tau = (there + math.sqrt(dx * dx + dy * dy + dz * dz)) / c
+    if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
+        # contracts by |v|/c < 0.1 per step: 1e-14 s, or the last bits of a long delay, within a few
+        for _ in range(50):
+            ex, ey, ez = dx - v[0] * tau, dy - v[1] * tau, dz - v[2] * tau
+            before = tau
+            tau = (there + math.sqrt(ex * ex + ey * ey + ez * ez)) / c
+            if abs(tau - before) <= 1e-14 + 4e-16 * tau:
+                break
+        dx, dy, dz = dx - v[0] * tau, dy - v[1] * tau, dz - v[2] * tau
+    return tau, there, dx, dy, dz
+
+
+@njit(nogil=True, cache=False)
+def _delays(points, tx, rx, v, c):  # type: ignore[no-untyped-def]
+    """Travel times (s) of `points` (point, 3) for one trace."""
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        out[i] = _delay(points[i, 0], points[i, 1], points[i, 2], tx, rx, v, c)[0]
+    return out
+
+
+@njit(nogil=True, cache=False)
+def _turn(turns):  # type: ignore[no-untyped-def]
+    """exp(2j pi turns)."""
+    angle = 2 * math.pi * (turns - math.floor(turns + 0.5))
+    return complex(math.cos(angle), math.sin(angle))
+
+
+@njit(nogil=True, cache=False)
+def _sinc(x):  # type: ignore[no-untyped-def]
+    return 1.0 if x == 0.0 else math.sin(math.pi * x) / (math.pi * x)
+
+
+@njit(nogil=True, cache=False)
+def _look(face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
+    """Whether a point lies before an element's face, and the sincs' arguments per Hz."""
+    scale = math.sqrt(dx * dx + dy * dy + dz * dz) * c
+    if not dx * face[0] + dy * face[1] + dz * face[2] > 0.0:
+        return False, 0.0, 0.0
+    along = face[_LENGTH] * (dx * face[3] + dy * face[4] + dz * face[5]) / scale
+    return True, along, face[_HEIGHT] * (dx * face[6] + dy * face[7] + dz * face[8]) / scale
+
+
+@njit(nogil=True, cache=False)
+def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
+    """Envelope at time `u` from the pulse's centre, inside its support."""
+    if window == _GAUSSIAN:
+        return math.exp(-u * u * terms[0])
+    if window == _TUKEY:
+        edge = (2 * abs(u) / duration - 1 + terms[0]) / terms[0]
+        return 1.0 if edge <= 0.0 else 0.5 + 0.5 * math.cos(math.pi * min(edge, 1.0))
+    if window == _TAYLOR:
+        x = math.cos(2 * math.pi * u / duration)
+        return terms[0] + x * (terms[1] + x * (terms[2] + x * terms[3]))
+    return 1.0
+
+
+@njit(nogil=True, cache=False)
+def _add_echoes(  # type: ignore[no-untyped-def]
+    sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive
+):
+    """Add the echoes of points first ... last - 1 to one trace. Returns -1, or a point without distance for `spreading`.
+
+    The phase pi (rate u + 2 offset) u of the chirp is quadratic in the sample number, so exp(j phase) follows from two
+    complex products per sample: value *= advance; advance *= bend. Every _RESTART samples both are set anew.
+    """
+    tx, rx, v, start = geometry
+    carrier, rate, duration, half, fc, fs, c = model
+    offset, bend = carrier - fc, _turn(rate / fs / fs)
+    n_sample = sums.size
+    for i in range(first, last):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        tau, there, dx, dy, dz = _delay(x, y, z, tx, rx, v, c)
+        amplitude = amplitudes[i]
+        if spreading:
+            loss = there * math.sqrt(dx * dx + dy * dy + dz * dz)
+            if loss == 0.0:
+                return i
+            amplitude /= loss
+        # the envelope's own test decides at the edges: begin a sample early, end a sample late
+        middle = (tau - start + duration / 2) * fs
+        if not (middle - half * fs < n_sample and middle + half * fs > -1.0):
+            continue
+        low = int(max(math.floor(middle - half * fs), 0.0))
+        high = int(min(math.ceil(middle + half * fs), n_sample - 1.0))
+        while low <= high and abs(start + low / fs - tau - duration / 2) > half:
+            low += 1
+        while low <= high and abs(start + high / fs - tau - duration / 2) > half:
+            high -= 1
+        if low > high:
+            continue
+        along_tx = up_tx = along_rx = up_rx = 0.0
+        if directive[0]:
+            seen, along_tx, up_tx = _look(faces[0], x - tx[0], y - tx[1], z - tx[2], c)
+            if not seen:
+                continue
+        if directive[1]:
+            seen, along_rx, up_rx = _look(faces[1], dx, dy, dz, c)
+            if not seen:
+                continue
+        patterned = along_tx != 0.0 or up_tx != 0.0 or along_rx != 0.0 or up_rx != 0.0
+        amplitude *= _turn(-fc * tau)
+        for restart in range(low, high + 1, _RESTART):
+            u = start + restart / fs - tau - duration / 2
+            value = amplitude * _turn((0.5 * rate * u + offset) * u)
+            advance = _turn((rate * (u + 0.5 / fs) + offset) / fs)
+            for n in range(restart, min(restart + _RESTART, high + 1)):
+                if window == _RECT and not patterned:
+                    sums[n] += value
+                else:
+                    u = start + n / fs - tau - duration / 2
+                    gain = _window(window, terms, u, duration)
+                    if patterned:
+                        f = carrier + rate * u
+                        gain *= _sinc(f * along_tx) * _sinc(f * up_tx) * _sinc(f * along_rx) * _sinc(f * up_rx)
+                    sums[n] += value * gain
+                value *= advance
+                advance *= bend
+    return -1
+
+
+@njit(nogil=True, cache=False)
+def _power(trace):  # type: ignore[no-untyped-def]
+    """Sum of |trace|^2 in one fixed order, wherever the array lies in memory."""
+    total = 0.0
+    for value in trace:
+        total += value.real * value.real + value.imag * value.imag
+    return total

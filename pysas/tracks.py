@@ -1,31 +1,44 @@
-"""Tracks of a platform and arrays of receivers on it: what simulations and examples start from.
+"""Tracks of the sonar and lines of receivers: geometry to simulate with, and to state what a survey looked like.
 
-x is along-track, y across-track; z is whatever the caller says (up or down).
+Axes: x along-track, y across-track; yaw turns the platform about z, from +x towards +y, so its along-track axis is
+(cos yaw, sin yaw, 0). A track holds one position per ping, at the instant of transmission, with the velocity that belongs
+to it: `simulate(..., tx=track.position, rx=array(track, ...), velocity=track.velocity)`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from pysas import _checks
 from pysas._checks import FloatArray
 
+__all__ = ["Track", "array", "circular", "perturbed", "straight"]
 
-@dataclass(frozen=True, eq=False)
+_HARMONICS = 64
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Track:
-    """Where a platform is at every ping.
+    """Where the platform is at each transmission.
 
-    Attributes
+    Parameters
     ----------
-    position, velocity : (ping, 3) float64
-        m and m/s.
-    yaw : (ping,) float64
-        Heading of the platform's axis about z, rad, 0 along +x.
-    time : (ping,) float64
-        s.
+    position, velocity : (ping, 3)
+        In m and m/s.
+    yaw : (ping,)
+        Heading of the along-track axis, rad, from +x towards +y.
+    time : (ping,)
+        Time of each transmission, s, not decreasing.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shape or dtype, or non-finite; the message names the field and the ping.
     """
 
     position: FloatArray
@@ -33,78 +46,219 @@ class Track:
     yaw: FloatArray
     time: FloatArray
 
+    def __post_init__(self) -> None:
+        position = _checks.reals("position", self.position, [("ping", 3)], ("ping",))
+        n = position.shape[0]
+        if n == 0:
+            raise ValueError("position: no pings: expected at least one")
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "velocity", _checks.reals("velocity", self.velocity, [(n, 3)], ("ping",)))
+        object.__setattr__(self, "yaw", _checks.reals("yaw", self.yaw, [(n,)], ("ping",)))
+        time = _checks.reals("time", self.time, [(n,)], ("ping",))
+        if np.any(np.diff(time) < 0):
+            ping = int(np.argmax(np.diff(time) < 0)) + 1
+            raise ValueError(f"time: {time[ping]:g} s at ping {ping} after {time[ping - 1]:g} s: expected not decreasing")
+        object.__setattr__(self, "time", time)
 
-def straight(n_ping: int, spacing: float, *, height: float = 0.0, speed: float = 1.5) -> Track:
-    """Straight line along x, centred on x = 0, y = 0, at z = `height`: `spacing` m between pings, `speed` m/s."""
-    return perturbed(n_ping, spacing, height=height, speed=speed, sway=0.0, heave=0.0, yaw=0.0)
+    @property
+    def n_ping(self) -> int:
+        """Number of pings."""
+        return int(self.position.shape[0])
+
+    def __repr__(self) -> str:
+        length = float(np.sum(np.linalg.norm(np.diff(self.position, axis=0), axis=1)))
+        return f"Track({self.n_ping} pings over {length:.4g} m in {self.time[-1] - self.time[0]:.4g} s)"
+
+
+def straight(
+    n_ping: int, spacing: float, height: float = 0.0, speed: float = 1.5, start: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Track:
+    """A straight track along +x at constant speed.
+
+    Parameters
+    ----------
+    n_ping : int
+        Number of pings.
+    spacing : float
+        Advance per ping, m, > 0.
+    height : float
+        Added to the z of `start`, m.
+    speed : float
+        In m/s, > 0; sets `time` and `velocity`.
+    start : (3,)
+        Position of the first ping (before `height`), m.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range; the message names it.
+    """
+    return perturbed(n_ping, spacing, height, speed, start)
 
 
 def perturbed(
     n_ping: int,
     spacing: float,
-    *,
     height: float = 0.0,
     speed: float = 1.5,
-    sway: float = 0.1,
-    heave: float = 0.05,
-    yaw: float = 0.01,
-    correlation: float = 5.0,
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    sway: float = 0.0,
+    heave: float = 0.0,
+    yaw: float = 0.0,
+    correlation: float = 10.0,
     seed: int = 0,
 ) -> Track:
-    """Straight line with smooth random sway (y), heave (z) and yaw of the given rms (m, m, rad).
+    """A straight track with smooth random sway, heave and yaw, repeatable by `seed`.
 
-    Each motion is a sum of 24 sinusoids along the track with wavelengths from `correlation` up to 8 times that (m), equal
-    amplitudes and random phases; `velocity` is its exact derivative at `speed` m/s along x.
+    Each is rms sqrt(2/M) sum_m cos(kappa_m s + phi_m) over M = 64 harmonics in the along-track distance s, with random
+    phases phi_m and one wavenumber kappa_m drawn in each of M equally likely slices of a Gaussian of standard deviation
+    1/correlation. The spectrum is that Gaussian; the autocorrelation is rms^2 exp(-s^2 / (2 correlation^2)). The velocity
+    is the exact derivative of the position.
+
+    Parameters
+    ----------
+    n_ping, spacing, height, speed, start
+        As for `straight`; `speed` is that along x.
+    sway, heave : float
+        Displacement in y and in z, rms over many tracks, m. On a track much longer than `correlation` its own rms.
+    yaw : float
+        Heading, rms, rad. It turns the platform, not the track.
+    correlation : float
+        Correlation length, m, > 0.
+    seed : int
+        Sway, heave and yaw draw independently: changing one leaves the others.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range; the message names it.
+
+    Notes
+    -----
+    O(64 n_ping) time and memory.
     """
-    _checks.whole("n_ping", n_ping)
+    n = _checks.whole("n_ping", n_ping)
     spacing = _checks.number("spacing", spacing, positive=True)
     speed = _checks.number("speed", speed, positive=True)
     correlation = _checks.number("correlation", correlation, positive=True)
-    height = _checks.number("height", height)
-    x = (np.arange(n_ping) - (n_ping - 1) / 2) * spacing
-    draw = np.random.default_rng(seed)
-    waves = 2 * np.pi / (correlation * np.linspace(1, 8, 24))
-    motions = []
-    for name, rms in (("sway", sway), ("heave", heave), ("yaw", yaw)):
-        rms = _checks.number(name, rms, low=0.0)
-        phase = waves * x[:, None] + draw.uniform(0, 2 * np.pi, waves.size)
-        scale = rms * np.sqrt(2 / waves.size)
-        motions.append((scale * np.sin(phase).sum(axis=1), scale * speed * (waves * np.cos(phase)).sum(axis=1)))
-    position = np.stack([x, motions[0][0], height + motions[1][0]], axis=1)
-    velocity = np.stack([np.full(n_ping, speed), motions[0][1], motions[1][1]], axis=1)
-    return Track(position, velocity, motions[2][0], np.arange(n_ping) * spacing / speed)
+    motion = {name: _checks.number(name, value, low=0.0) for name, value in (("sway", sway), ("heave", heave), ("yaw", yaw))}
+    streams = np.random.SeedSequence(_checks.whole("seed", seed, low=0)).spawn(len(motion))
+    s = spacing * np.arange(n)
+    (y, vy), (z, vz), (heading, _) = (
+        _harmonics(s, rms, correlation, stream) for rms, stream in zip(motion.values(), streams, strict=True)
+    )
+    position = _place("start", start, height) + np.stack([s, y, z], axis=1)
+    velocity = speed * np.stack([np.ones(n), vy, vz], axis=1)
+    return Track(position, velocity, heading, s / speed)
 
 
 def circular(
-    n_ping: int, radius: float, *, centre: npt.ArrayLike = (0.0, 0.0, 0.0), start: float = 0.0, extent: float = 2 * np.pi,
+    n_ping: int,
+    radius: float,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    height: float = 0.0,
+    start_angle: float = 0.0,
+    extent: float = 2 * np.pi,
     speed: float = 1.5,
-) -> Track:  # fmt: skip
-    """Circle of `radius` m about `centre` (its z is the track's), `extent` rad from `start`, evenly spaced, end left out."""
-    _checks.whole("n_ping", n_ping)
+) -> Track:
+    """A circular track, heading along its tangent.
+
+    Parameters
+    ----------
+    n_ping : int
+        Number of pings, at angles start_angle + extent ping/n_ping: a full circle has no ping twice.
+    radius : float
+        In m, > 0.
+    centre : (3,)
+        In m.
+    height : float
+        Added to the z of `centre`, m.
+    start_angle, extent : float
+        From +x towards +y, rad; a negative `extent` goes round the other way.
+    speed : float
+        In m/s, > 0.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range; the message names it.
+    """
+    n = _checks.whole("n_ping", n_ping)
     radius = _checks.number("radius", radius, positive=True)
     speed = _checks.number("speed", speed, positive=True)
-    middle = _checks.reals("centre", centre, [(3,)])
-    extent = _checks.number("extent", extent, positive=True)
-    angle = _checks.number("start", start) + extent * np.arange(n_ping) / n_ping
-    zero = np.zeros(n_ping)
-    position = middle + radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
-    velocity = speed * np.stack([-np.sin(angle), np.cos(angle), zero], axis=1)
-    time = np.asarray(radius * (angle - angle[0]) / speed, dtype=np.float64)
-    return Track(position, velocity, np.asarray(angle + np.pi / 2, dtype=np.float64), time)
+    start_angle = _checks.number("start_angle", start_angle)
+    extent = _checks.number("extent", extent)
+    if extent == 0:
+        raise ValueError(f"extent={extent!r}: expected a non-zero angle in rad")
+    turned = extent * np.arange(n) / n
+    angle = start_angle + turned
+    yaw = angle + np.copysign(np.pi / 2, extent)
+    zero = np.zeros(n)
+    position = _place("centre", centre, height) + radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
+    velocity = speed * np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
+    return Track(position, velocity, yaw, radius * np.abs(turned) / speed)
 
 
-def array(track: Track, n_channel: int, spacing: float, *, offset: npt.ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
-    """Receivers (ping, channel, 3), m: a uniform line along the platform's axis, centred `offset` from the track.
+def array(track: Track, n_channel: int, spacing: float, offset: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    """Receivers in a uniform line along the platform's along-track axis.
 
-    `offset` (along, across, z) and the line turn with the platform's yaw.
+    Parameters
+    ----------
+    track : Track
+    n_channel : int
+        Number of receivers.
+    spacing : float
+        Between receivers, m, > 0. Channel 0 is the last in the direction of travel.
+    offset : (3,)
+        From the track's position to the middle of the line in the platform's axes (along-track, across-track, z), m;
+        it turns with the platform.
+
+    Returns
+    -------
+    (ping, channel, 3) float64
+        Positions at the instant of transmission, m.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range; the message names it.
     """
     if not isinstance(track, Track):
-        raise TypeError(f"track={track!r}: expected a pysas.tracks.Track")
-    _checks.whole("n_channel", n_channel)
+        raise TypeError(f"track={type(track).__name__}: expected a pysas.tracks.Track")
+    n = _checks.whole("n_channel", n_channel)
     spacing = _checks.number("spacing", spacing, positive=True)
     along, across, up = _checks.reals("offset", offset, [(3,)])
-    place = along + (np.arange(n_channel) - (n_channel - 1) / 2) * spacing
+    forward = along + spacing * (np.arange(n) - (n - 1) / 2)
     cos, sin = np.cos(track.yaw)[:, None], np.sin(track.yaw)[:, None]
-    z = np.full((track.yaw.size, n_channel), up)
-    line = np.stack([place * cos - across * sin, place * sin + across * cos, z], axis=-1)
-    return np.asarray(track.position[:, None, :] + line)
+    turned = np.stack([cos * forward - sin * across, sin * forward + cos * across, np.full((track.n_ping, n), up)], axis=-1)
+    return np.asarray(track.position[:, None, :] + turned)
+
+
+def _place(name: str, value: npt.ArrayLike, height: float) -> FloatArray:
+    place = _checks.reals(name, value, [(3,)])
+    return place + np.array([0.0, 0.0, _checks.number("height", height)])
+
+
+def _harmonics(s: FloatArray, rms: float, correlation: float, stream: np.random.SeedSequence) -> tuple[FloatArray, FloatArray]:
+    """The random displacement at distances `s` and its derivative with respect to s."""
+    if rms == 0:
+        return np.zeros(s.size), np.zeros(s.size)
+    rng = np.random.default_rng(stream)
+    kappa = ndtri((np.arange(_HARMONICS) + rng.uniform(0.0, 1.0, _HARMONICS)) / _HARMONICS) / correlation
+    phase = rng.uniform(0.0, 2 * np.pi, _HARMONICS)
+    angle = np.multiply.outer(s, kappa) + phase
+    amplitude = rms * np.sqrt(2 / _HARMONICS)
+    return amplitude * np.cos(angle).sum(axis=1), -amplitude * (np.sin(angle) @ kappa)

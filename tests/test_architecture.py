@@ -29,8 +29,9 @@ SCRIPTS = {
 }
 
 DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
+TOOLS = {"pysas._pool"}  # threads for any loop: without NumPy, so without a delay
 EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas.tracks"}
-ALGORITHMS = MODULES.keys() - DATA_MODEL - EDGE
+ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
 OPTIONAL = {"matplotlib", "h5py", "xarray"}
@@ -294,7 +295,11 @@ def shared(first: str, second: str, graph: dict[str, set[str]]) -> set[str]:
     ],
 )
 def test_simulator_oracle_and_engine_share_no_delay_code(first: str, second: str) -> None:
-    assert shared(first, second, GRAPH) <= DATA_MODEL
+    assert shared(first, second, GRAPH) <= DATA_MODEL | TOOLS
+
+
+def test_tools_compute_nothing() -> None:
+    assert {name: found for name in TOOLS if (found := {"numpy", "numba", "math"} & imports(MODULES[name]))} == {}
 
 
 def test_shared_code_is_found() -> None:
@@ -307,7 +312,7 @@ def test_shared_code_is_found() -> None:
 
 
 def test_files_know_no_algorithm_and_algorithms_no_file() -> None:
-    assert {"pysas.planner", "pysas.engine.pool"} <= ALGORITHMS
+    assert {"pysas.planner", "pysas.engine._numba"} <= ALGORITHMS
     assert reach("pysas.io", GRAPH) & ALGORITHMS == set()
     assert {name for name in ALGORITHMS | DATA_MODEL if "pysas.io" in reach(name, GRAPH)} == set()
 

@@ -122,9 +122,7 @@ def test_peak_between_pixels(shape: tuple[int, int], ramps: tuple[float, float])
 def test_peak_of_a_finely_sampled_response() -> None:
     r, c = np.arange(300)[:, None], np.arange(400)
     body = np.exp(-((r - 141.23) ** 2 + (c - 222.77) ** 2 + 0.8 * (r - 141.23) * (c - 222.77)) / 800)
-    assert metrics.peak_position((body * np.exp(0.3j * r)).astype(np.complex64)) == pytest.approx(
-        (222.77, 141.23), abs=1e-3
-    )
+    assert metrics.peak_position((body * np.exp(0.3j * r)).astype(np.complex64)) == pytest.approx((222.77, 141.23), abs=1e-3)
 
 
 def image(data: Any, x: Any, y: Any) -> Image:
@@ -137,9 +135,7 @@ def test_peak_in_grid_coordinates_near_a_place() -> None:
     strong, weak = (5e6 + 0.25 * 20.6, 40 - 0.5 * 30.2), (5e6 + 0.25 * 61.1, 40 - 0.5 * 85.7)
     picture = image(data, x, y)
     assert metrics.peak_position(picture) == pytest.approx(strong, rel=0, abs=3e-3)
-    assert metrics.peak_position(picture, near=(weak[0] + 0.3, weak[1]), radius=1.0) == pytest.approx(
-        weak, rel=0, abs=3e-3
-    )
+    assert metrics.peak_position(picture, near=(weak[0] + 0.3, weak[1]), radius=1.0) == pytest.approx(weak, rel=0, abs=3e-3)
     with pytest.raises(ValueError, match="radius"):
         metrics.peak_position(picture, near=(0.0, 0.0), radius=1.0)
     with pytest.raises(ValueError, match="both or neither"):

@@ -273,12 +273,8 @@ def test_beam_limits_the_transmitter_only() -> None:
     rx = np.array([[[50.0, 0, 0]], [[50.0, 0, 0]]])
     boresight = np.array([[0.0, 2, 0], [0.0, -1, 0]])
     echoes = Echoes(data, fs=64.0, fc=64.0, tx=np.zeros((2, 3)), rx=rx, c=200.0, beam=Beam(boresight, 0.1, np.pi / 4))
-    points = np.array(
-        [[3.0, 3, 0], [3.0, np.nextafter(3, 0), 0], [0, 3, 0], [0, -3, 0], [3, -3, 0], [3, 0, 0], [0, 0, 0]]
-    )
-    terms = np.rint(
-        (exact(echoes, Grid.points(points))[1] / exact(echoes.replace(beam=None), Grid.points(points))[1]) ** 2 * 2
-    )
+    points = np.array([[3.0, 3, 0], [3.0, np.nextafter(3, 0), 0], [0, 3, 0], [0, -3, 0], [3, -3, 0], [3, 0, 0], [0, 0, 0]])
+    terms = np.rint((exact(echoes, Grid.points(points))[1] / exact(echoes.replace(beam=None), Grid.points(points))[1]) ** 2 * 2)
     assert terms.tolist() == [1, 0, 1, 1, 1, 0, 2]
     everywhere = echoes.replace(beam=Beam(np.array([0.0, 1, 0]), 0.1, np.pi))
     np.testing.assert_array_equal(

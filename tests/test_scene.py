@@ -107,9 +107,7 @@ def test_data_of_any_layout_are_not_copied(dtype: str) -> None:
 
 def test_navigation_of_any_layout() -> None:
     plain = fields()
-    big = fields(
-        tx=plain["tx"].astype(">f4"), rx=np.asfortranarray(plain["rx"].astype(">f8")), t0=np.arange(PING, dtype=">i4")
-    )
+    big = fields(tx=plain["tx"].astype(">f4"), rx=np.asfortranarray(plain["rx"].astype(">f8")), t0=np.arange(PING, dtype=">i4"))
     echoes = Echoes(**big)
     assert echoes.tx.dtype == echoes.rx.dtype == np.float64
     assert np.allclose(echoes.tx, plain["tx"], rtol=1e-6)
@@ -302,9 +300,7 @@ def test_swath_and_resolution() -> None:
 
 
 def test_echoes_repr() -> None:
-    text = repr(
-        Echoes(**fields(pulse=PULSE, compressed=False, velocity=np.ones((PING, 3)), beam=Beam(ABEAM, 0.04, 0.5)))
-    )
+    text = repr(Echoes(**fields(pulse=PULSE, compressed=False, velocity=np.ones((PING, 3)), beam=Beam(ABEAM, 0.04, 0.5))))
     for part in (
         "4 pings x 3 channels x 10 samples, complex64, raw",
         "fs 40000 Hz = 2 x bandwidth 20000 Hz, fc 100000 Hz, c 1500 m/s",
@@ -435,9 +431,7 @@ def test_grid_repr() -> None:
     assert "Grid: points, 2 x 4 pixels" in repr(Grid.points(np.zeros((2, 4, 3))))
 
 
-REPORT = Report(
-    "backprojection", tol=1e-3, backend="numba", threads=2, terms=1000, choices={"degree": 3}, notes=("a note",)
-)
+REPORT = Report("backprojection", tol=1e-3, backend="numba", threads=2, terms=1000, choices={"degree": 3}, notes=("a note",))
 
 
 def image(data: Any = None, grid: Grid | None = None) -> Image:

@@ -1,64 +1,132 @@
-"""Tracks: even spacing, stated rms of the motions, velocity as the derivative of position, arrays that turn with yaw."""
+"""Tracks and receiver lines: geometry by hand, statistics of the perturbed track, velocity against differences."""
+
+from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pysas import tracks
+from pysas.tracks import Track, array, circular, perturbed, straight
 
 
-def test_straight_is_even_and_centred():
-    track = tracks.straight(11, 0.2, height=4.0, speed=2.0)
-    assert np.allclose(np.diff(track.position[:, 0]), 0.2) and np.allclose(track.position.mean(axis=0), [0, 0, 4.0])
-    assert np.allclose(track.velocity, [2.0, 0, 0]) and np.allclose(np.diff(track.time), 0.1) and not track.yaw.any()
+def test_straight() -> None:
+    track = straight(4, 0.5, height=8.0, speed=2.0, start=(1.0, 2.0, 3.0))
+    np.testing.assert_array_equal(track.position, [[1, 2, 11], [1.5, 2, 11], [2, 2, 11], [2.5, 2, 11]])
+    np.testing.assert_array_equal(track.velocity, [[2, 0, 0]] * 4)
+    np.testing.assert_array_equal(track.yaw, [0] * 4)
+    np.testing.assert_array_equal(track.time, [0, 0.25, 0.5, 0.75])
+    assert all(a.dtype == np.float64 for a in (track.position, track.velocity, track.yaw, track.time))
+    assert track.n_ping == 4 and repr(track) == "Track(4 pings over 1.5 m in 0.75 s)"
 
 
-def test_perturbed_has_the_stated_motion():
-    track = tracks.perturbed(20000, 0.05, sway=0.3, heave=0.1, yaw=0.02, correlation=4.0, seed=2)
-    # 24 incommensurate waves over 1000 m: the rms is within a few per cent of what was asked
-    assert np.std(track.position[:, 1]) == pytest.approx(0.3, rel=0.1)
-    assert np.std(track.position[:, 2]) == pytest.approx(0.1, rel=0.1)
-    assert np.std(track.yaw) == pytest.approx(0.02, rel=0.1)
-    # central differences of a wave of length >= 4 m on 0.05 m steps: (2 pi 0.05/4)^2/6 = 1e-3
-    slope = (track.position[2:] - track.position[:-2]) / (track.time[2:] - track.time[:-2])[:, None]
-    assert np.abs(slope - track.velocity[1:-1]).max() < 2e-3 * np.abs(track.velocity[:, 1:]).max() + 1e-9
+def test_unperturbed_is_straight() -> None:
+    first, second = straight(5, 0.1, 3.0), perturbed(5, 0.1, 3.0)
+    np.testing.assert_array_equal(first.position, second.position)
+    np.testing.assert_array_equal(first.velocity, second.velocity)
 
 
-def test_seed_decides():
-    a, b, c = (tracks.perturbed(50, 0.1, seed=s).position for s in (1, 1, 2))
-    assert np.array_equal(a, b) and not np.array_equal(a, c)
+def test_perturbed_rms_and_correlation() -> None:
+    """Over many seeds: rms as asked, autocorrelation rms^2 exp(-s^2/(2 L^2)) at s = L/2, L and 2 L."""
+    correlation, spacing = 2.0, 0.5
+    tracks = [
+        perturbed(400, spacing, sway=0.05, heave=0.02, yaw=0.01, correlation=correlation, seed=seed) for seed in range(200)
+    ]
+    for values, rms in (
+        (np.array([t.position[:, 1] for t in tracks]), 0.05),
+        (np.array([t.position[:, 2] for t in tracks]), 0.02),
+        (np.array([t.yaw for t in tracks]), 0.01),
+    ):
+        # 200 tracks of 100 correlation lengths: about 1 % of scatter
+        assert np.sqrt(np.mean(values**2)) == pytest.approx(rms, rel=0.03)
+        for lag in (2, 4, 8):
+            expected = np.exp(-((lag * spacing) ** 2) / (2 * correlation**2))
+            assert np.mean(values[:, lag:] * values[:, :-lag]) / rms**2 == pytest.approx(expected, abs=0.04)
 
 
-def test_circle():
-    track = tracks.circular(360, 10.0, centre=(1.0, 2.0, 3.0))
-    away = track.position - [1.0, 2.0, 3.0]
-    assert np.allclose(np.linalg.norm(away, axis=1), 10) and np.allclose(np.sum(away * track.velocity, axis=1), 0)
-    gap = np.linalg.norm(track.position - np.roll(track.position, 1, axis=0), axis=1)
-    assert np.allclose(gap, gap[0])  # closed: the last ping is one step before the first
+def test_perturbed_velocity_is_the_derivative() -> None:
+    track = perturbed(2001, 1e-3, speed=1.7, sway=0.1, heave=0.05, correlation=0.5, seed=3)
+    difference = (track.position[2:] - track.position[:-2]) / (track.time[2:] - track.time[:-2])[:, None]
+    # central differences: third derivative 1.7 (kappa = 3/L)^3 amplitude h^2/6 < 1e-5
+    np.testing.assert_allclose(track.velocity[1:-1], difference, atol=2e-5)
+    assert np.ptp(track.velocity[:, 1]) > 0.1
 
 
-def test_array_turns_with_yaw():
-    track = tracks.circular(4, 10.0)  # headings +y, -x, -y, +x
-    rx = tracks.array(track, 3, 0.5, offset=(0.1, 0.0, -0.2))
-    heading = np.array([[0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]], dtype=float)
-    along = 0.1 + np.array([-0.5, 0.0, 0.5])
-    expected = track.position[:, None] + along[:, None] * heading[:, None] + [0, 0, -0.2]
-    assert np.allclose(rx, expected)
+def test_perturbed_is_repeatable_and_motions_independent() -> None:
+    one = perturbed(50, 0.1, sway=0.1, heave=0.1, yaw=0.1, seed=5)
+    again = perturbed(50, 0.1, sway=0.1, heave=0.1, yaw=0.1, seed=5)
+    swaying = perturbed(50, 0.1, sway=0.2, seed=5)
+    np.testing.assert_array_equal(one.position, again.position)
+    np.testing.assert_allclose(swaying.position[:, 1], 2 * one.position[:, 1], rtol=1e-14)
+    assert np.any(one.position != perturbed(50, 0.1, sway=0.1, heave=0.1, seed=6).position)
+    assert np.abs(np.corrcoef(one.position[:, 1], one.position[:, 2])[0, 1]) < 0.999
+
+
+@pytest.mark.parametrize("extent", [2 * np.pi, -np.pi / 2])
+def test_circular(extent: float) -> None:
+    n, radius, centre = 16, 20.0, np.array([3.0, -4.0, 1.0])
+    track = circular(n, radius, tuple(centre), height=5.0, start_angle=0.3, extent=extent, speed=2.0)
+    np.testing.assert_allclose(np.linalg.norm((track.position - centre)[:, :2], axis=1), radius, rtol=1e-14)
+    np.testing.assert_array_equal(track.position[:, 2], 6.0)
+    np.testing.assert_allclose(track.position[0, :2], centre[:2] + radius * np.array([np.cos(0.3), np.sin(0.3)]))
+    np.testing.assert_allclose(np.sum(track.velocity * (track.position - centre), axis=1), 0, atol=1e-13)
+    np.testing.assert_allclose(np.linalg.norm(track.velocity, axis=1), 2.0)
+    step = track.position[1] - track.position[0]
+    assert step @ (track.velocity[0] + track.velocity[1]) > 0  # it moves where the velocity points
+    np.testing.assert_allclose(np.linalg.norm(step), 2 * radius * np.sin(abs(extent) / n / 2))  # chord
+    np.testing.assert_allclose(track.time, radius * abs(extent) / n * np.arange(n) / 2.0)
+
+
+def test_array_on_a_straight_track() -> None:
+    rx = array(straight(2, 1.0, height=5.0), 3, 0.1, offset=(0.5, 0.2, -1.0))
+    expected = [[[x + d, 0.2, 4.0] for d in (0.4, 0.5, 0.6)] for x in (0.0, 1.0)]
+    np.testing.assert_allclose(rx, expected, rtol=1e-15)
+
+
+def test_array_turns_with_the_platform() -> None:
+    """At yaw pi/2 the along-track axis is +y and the across-track axis -x."""
+    track = Track(np.zeros((1, 3)), np.zeros((1, 3)), np.array([np.pi / 2]), np.zeros(1))
+    rx = array(track, 2, 2.0, offset=(10.0, 1.0, 3.0))
+    np.testing.assert_allclose(rx, [[[-1, 9, 3], [-1, 11, 3]]], atol=1e-14)
+    assert array(circular(7, 5.0), 4, 0.1).shape == (7, 4, 3)
 
 
 @pytest.mark.parametrize(
-    ("call", "error", "text"),
+    ("function", "arguments", "error", "message"),
     [
-        (lambda: tracks.straight(0, 0.1), ValueError, "n_ping=0"),
-        (lambda: tracks.straight(2.0, 0.1), TypeError, "n_ping=2.0"),
-        (lambda: tracks.straight(3, -0.1), ValueError, "spacing=-0.1"),
-        (lambda: tracks.perturbed(3, 0.1, sway=-1), ValueError, "sway=-1"),
-        (lambda: tracks.perturbed(3, 0.1, correlation=0), ValueError, "correlation=0"),
-        (lambda: tracks.circular(3, 0), ValueError, "radius=0"),
-        (lambda: tracks.circular(3, 1, centre=(0, 0)), ValueError, "centre"),
-        (lambda: tracks.array("t", 3, 0.1), TypeError, "track='t'"),
-        (lambda: tracks.array(tracks.straight(2, 0.1), 0, 0.1), ValueError, "n_channel=0"),
+        (straight, {"n_ping": 0, "spacing": 1}, ValueError, "n_ping=0"),
+        (straight, {"n_ping": 2.5, "spacing": 1}, TypeError, "n_ping=2.5"),
+        (straight, {"n_ping": 2, "spacing": 0}, ValueError, "spacing=0"),
+        (straight, {"n_ping": 2, "spacing": 1, "speed": -1}, ValueError, "speed=-1"),
+        (straight, {"n_ping": 2, "spacing": 1, "height": np.nan}, ValueError, "height=nan"),
+        (straight, {"n_ping": 2, "spacing": 1, "start": (0, 0)}, ValueError, r"start: expected shape \(3,\)"),
+        (perturbed, {"n_ping": 2, "spacing": 1, "sway": -0.1}, ValueError, "sway=-0.1"),
+        (perturbed, {"n_ping": 2, "spacing": 1, "correlation": 0}, ValueError, "correlation=0"),
+        (perturbed, {"n_ping": 2, "spacing": 1, "seed": -1}, ValueError, "seed=-1"),
+        (circular, {"n_ping": 2, "radius": 0}, ValueError, "radius=0"),
+        (circular, {"n_ping": 2, "radius": 1, "extent": 0}, ValueError, "extent=0"),
+        (circular, {"n_ping": 2, "radius": 1, "centre": (0, 0, np.inf)}, ValueError, "centre: inf"),
+        (array, {"track": None, "n_channel": 1, "spacing": 1}, TypeError, "track=NoneType"),
+        (array, {"track": straight(2, 1.0), "n_channel": 0, "spacing": 1}, ValueError, "n_channel=0"),
+        (array, {"track": straight(2, 1.0), "n_channel": 1, "spacing": -1}, ValueError, "spacing=-1"),
     ],
 )
-def test_errors(call, error, text):
-    with pytest.raises(error, match=text):
-        call()
+def test_rejected(function: Any, arguments: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        function(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position": np.zeros((3, 2))}, "position: expected shape"),
+        ({"position": np.zeros((0, 3))}, "position: no pings"),
+        ({"velocity": np.zeros((2, 3))}, r"velocity: expected shape \(3, 3\)"),
+        ({"yaw": [0, np.nan, 0]}, "yaw: nan at ping 1"),
+        ({"time": [0, 2, 1]}, "time: 1 s at ping 2 after 2 s"),
+    ],
+)
+def test_track_is_validated(changes: dict[str, Any], message: str) -> None:
+    fields = {"position": np.zeros((3, 3)), "velocity": np.zeros((3, 3)), "yaw": np.zeros(3), "time": np.arange(3.0)}
+    with pytest.raises(ValueError, match=message):
+        Track(**(fields | changes))
