@@ -18,66 +18,69 @@ def default_grid(echoes: Echoes, z: float = 0.0, spacing: float | None = None) -
 
     A track that closes round its middle gets a square about it that every ping's record covers. Any other gets the
     rectangle beside it: x over the track (with a quarter of its length to spare at each end when the track is short
-    against the range), y on the side of the beam's boresight (else +y) over the ranges recorded. Raw records lose the
-    pulse's length at the far end. `spacing` (m) defaults to half of the finer resolution (range: 0.886 c/2B; along-track:
-    D/2 with a beam, else lambda R/2L, at least lambda/4), to two digits. At most four million pixels: the rectangle
-    shrinks about its middle.
+    against the range), y on the side of the beam's boresight (else +y) over the ranges recorded. Raw records lose half
+    the pulse's length at the far end.
+
+    `spacing` (m) defaults, along each axis, to 0.8 of the image's Nyquist spacing: with the highest frequency f and theta
+    the half-angle the track subtends at mid range (at most the beam's first null), the image's bandwidth is 4 f
+    sin(theta)/c along-track and 2 B/c + 2 f (1 - cos(theta))/c across; a closed track has 4 f/c in both. At most four
+    million pixels: the rectangle shrinks about its middle.
     """
     z = _checks.number("z", z)
+    if spacing is not None:
+        spacing = _checks.number("spacing", spacing, positive=True)
     centres = (echoes.tx + echoes.receivers.mean(axis=1)) / 2
     middle = centres.mean(axis=0)
     drop = abs(float(np.median(centres[:, 2])) - z)
     record = (echoes.n_sample - 1) / echoes.fs
     if not echoes.compressed and echoes.pulse is not None:
-        record -= echoes.pulse.duration if isinstance(echoes.pulse, LFM) else (echoes.pulse.size - 1) / echoes.fs
+        pulse = echoes.pulse
+        record -= (pulse.duration if isinstance(pulse, LFM) else (pulse.size - 1) / echoes.fs) / 2
     near = echoes.c / 2 * float(echoes.start_time.max())
     far = echoes.c / 2 * (float(echoes.start_time.min()) + record)
     if far <= drop:
         raise ValueError(f"z={z:g}: {drop:.4g} m from the track, beyond the record's {far:.4g} m: choose another --z or a grid")
     ground_near, ground_far = (float(np.sqrt(max(r**2 - drop**2, 0.0))) for r in (near, far))
-    wavelength = echoes.c / echoes.fc
+    finest = echoes.c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
     if _encloses(centres[:, :2], middle[:2]):
         radius = float(np.median(np.linalg.norm(centres[:, :2] - middle[:2], axis=1)))
-        half = max(min(ground_far - radius, radius - ground_near, radius) / np.sqrt(2), wavelength)
-        step = _round(wavelength / 4) if spacing is None else spacing
+        half = max(min(ground_far - radius, radius - ground_near, radius) / np.sqrt(2), finest)
         box = np.array([middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half])
+        steps = np.full(2, _round(0.4 * finest))
         how = "square inside a closed track"
     else:
         low, high = float(centres[:, 0].min()), float(centres[:, 0].max())
         length = float(np.linalg.norm(centres.max(axis=0) - centres.min(axis=0)))
-        depth = ground_far - ground_near
-        near_edge, far_edge = ground_near + 0.02 * depth, ground_far - 0.02 * depth
-        if ground_near == 0:
-            near_edge = 0.1 * ground_far
+        near_edge = ground_near + 0.02 * (ground_far - ground_near) if ground_near else 0.1 * ground_far
+        far_edge = ground_far - 0.02 * (ground_far - ground_near)
         spare = max(0.25 * length, 1.0) if length < 0.5 * near_edge else 0.0
-        side = 1.0
+        side, sine = 1.0, np.sin(np.arctan2(length / 2, (near + far) / 2))
         if echoes.beam is not None:
             side = float(np.sign(np.mean(np.atleast_2d(echoes.beam.boresight)[:, 1]))) or 1.0
+            sine = min(sine, echoes.c / echoes.fc / echoes.beam.length)
+        across = 2 * echoes.occupied_bandwidth / echoes.c + (1 - np.sqrt(1 - sine**2)) / finest
+        steps = np.array([_round(0.8 * min(finest / (2 * max(sine, 1e-6)), 1 / across)), _round(0.8 / across)])
         y = middle[1] + side * np.array([near_edge, far_edge])
         box = np.array([low - spare, high + spare, y.min(), y.max()])
-        if spacing is None:
-            reach = (near + far) / 2
-            along = echoes.beam.length / 2 if echoes.beam is not None else wavelength * reach / (2 * max(length, wavelength))
-            step = _round(min(echoes.range_resolution, max(along, wavelength / 4)) / 2)
-        else:
-            step = spacing
         how = f"rectangle on the {'+' if side > 0 else '-'}y side of the track"
-    step = _checks.number("spacing", step, positive=True)
-    pixels = (box[1] - box[0]) * (box[3] - box[2]) / step**2
+    if spacing is not None:
+        steps[:] = spacing
+    pixels = (box[1] - box[0]) * (box[3] - box[2]) / (steps[0] * steps[1])
     if pixels > _MOST:
         share = np.sqrt(_MOST / pixels)
         for i in (0, 2):
             centre, half = (box[i] + box[i + 1]) / 2, (box[i + 1] - box[i]) / 2 * share
             box[i : i + 2] = centre - half, centre + half
         how += f", shrunk about its middle to {_MOST:.2g} pixels"
-    grid = Grid.plane(span(box[0], box[1], step), span(box[2], box[3], step), z)
-    return grid, f"{how}, z = {z:g} m, every {step:g} m"
+    grid = Grid.plane(span(box[0], box[1], float(steps[0])), span(box[2], box[3], float(steps[1])), z)
+    return grid, f"{how}, z = {z:g} m, every {steps[0]:g} m along x and {steps[1]:g} m along y"
 
 
 def span(low: float, high: float, step: float) -> FloatArray:
     """Multiples of `step` from `low` to `high`."""
     first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
-    return np.arange(first, max(last, first) + 1) * step
+    axis: FloatArray = np.asarray(np.arange(first, max(last, first) + 1) * step, dtype=np.float64)
+    return axis
 
 
 def _round(value: float) -> float:

@@ -40,10 +40,10 @@ _SAFE_FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, Fletcher-32, LZF: built in
 _PULSE = ("pulse_kind", "pulse_fc", "pulse_bandwidth", "pulse_duration", "pulse_window")
 _BEAM = ("beam_boresight", "beam_length", "beam_half_angle")
 _TRUTH = ("truth_position", "truth_amplitude")
-_EXPECTED = {
-    "samples": "complex64 or complex128", "real": "float64", "truth": "float64 or complex128", "bool": "bool", "text": "a string",
+_KINDS = {  # what an error says, and dtypes without byte order
+    "samples": ("complex64 or complex128", ("c8", "c16")), "real": ("float64", ("f8",)), "bool": ("bool", ("b1",)),
+    "truth": ("float64 or complex128", ("f8", "c16")), "text": ("a string", ()),
 }  # fmt: skip
-_CODES = {"samples": ("c8", "c16"), "real": ("f8",), "truth": ("f8", "c16"), "bool": ("b1",)}
 
 
 def save(path: str | os.PathLike[str], what: Echoes | Image) -> None:
@@ -61,10 +61,8 @@ def save(path: str | os.PathLike[str], what: Echoes | Image) -> None:
     ------
     ValueError, TypeError
         Another suffix or object, or attrs that JSON cannot hold.
-    OSError
-        From the file system; nothing half-written is left behind.
-    ImportError
-        .h5 without h5py (extra `hdf5`).
+    OSError, ImportError
+        From the file system, with nothing half-written left behind; .h5 without h5py (extra `hdf5`).
     """
     if not isinstance(what, Echoes | Image):
         raise TypeError(f"what={type(what).__name__}: expected pysas.Echoes or pysas.Image")
@@ -92,10 +90,8 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     ------
     ValueError
         A damaged file or one that breaks the schema; names file, field, found and expected.
-    OSError
-        From the file system.
-    ImportError
-        .h5 without h5py (extra `hdf5`).
+    OSError, ImportError
+        From the file system; .h5 without h5py (extra `hdf5`).
 
     Warns
     -----
@@ -142,12 +138,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _container(path: str | os.PathLike[str]) -> tuple[Callable[..., Any], Callable[[Path, dict[str, Array]], None]]:
-    suffix = Path(path).suffix.lower()
-    if suffix == ".npz":
-        return _open_npz, _write_npz
-    if suffix == ".h5":
-        return _open_h5, _write_h5
-    raise ValueError(f"{os.fspath(path)}: found suffix {suffix!r}, expected .npz or .h5")
+    containers = {".npz": (_open_npz, _write_npz), ".h5": (_open_h5, _write_h5)}
+    if (suffix := Path(path).suffix.lower()) not in containers:
+        raise ValueError(f"{os.fspath(path)}: found suffix {suffix!r}, expected .npz or .h5")
+    return containers[suffix]
 
 
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the
@@ -177,34 +171,26 @@ def _echo_fields(echoes: Echoes) -> dict[str, Array]:
         fields["bandwidth"] = echoes.bandwidth
     pulse = echoes.pulse
     if isinstance(pulse, LFM):
-        fields |= {"pulse_kind": "lfm", "pulse_fc": pulse.fc, "pulse_bandwidth": pulse.bandwidth}
-        fields |= {"pulse_duration": pulse.duration, "pulse_window": pulse.window}
-        if pulse.window_parameter is not None:
-            fields["pulse_window_parameter"] = pulse.window_parameter
+        fields |= {"pulse_kind": "lfm"} | {f"pulse_{key}": value for key, value in vars(pulse).items() if value is not None}
     elif pulse is not None:
         fields["waveform"] = pulse
     if echoes.beam is not None:
-        beam = echoes.beam
-        fields |= {"beam_boresight": beam.boresight, "beam_length": beam.length, "beam_half_angle": beam.half_angle}
-    truth = {name: attrs.pop(name) for name in _TRUTH if name in attrs}
-    if truth:
-        fields |= _truth(truth)
+        fields |= {f"beam_{key}": value for key, value in vars(echoes.beam).items()}
+    if any(name in attrs for name in _TRUTH):
+        fields |= dict(zip(_TRUTH, _truth(*(attrs.pop(name, None) for name in _TRUTH)), strict=True))
     if attrs:
         fields["attrs"] = json.dumps(_plain("attrs", attrs))
     fields["data"] = echoes.data
     return {name: np.asarray(value) for name, value in fields.items()}
 
 
-def _truth(truth: Mapping[str, Any]) -> dict[str, Array]:
-    if len(truth) < 2:
-        raise ValueError(f"attrs: found {next(iter(truth))!r} alone, expected both of {', '.join(_TRUTH)}")
-    position = _checks.reals("attrs['truth_position']", truth["truth_position"], [("n", 3)], ("target",))
-    amplitude = _checks.array_like("attrs['truth_amplitude']", truth["truth_amplitude"])
+def _truth(position: Any, amplitude: Any) -> tuple[Array, Array]:
+    position = _checks.reals("attrs['truth_position']", position, [("n", 3)], ("target",))
+    amplitude = _checks.array_like("attrs['truth_amplitude']", amplitude)
     if amplitude.dtype.kind not in "iufc" or amplitude.shape != position.shape[:1]:
         found = f"{amplitude.dtype} of shape {amplitude.shape}"
         raise ValueError(f"attrs['truth_amplitude']: found {found}, expected numbers of shape {position.shape[:1]}")
-    kind = np.complex128 if amplitude.dtype.kind == "c" else np.float64
-    return {"truth_position": position, "truth_amplitude": amplitude.astype(kind)}
+    return position, amplitude.astype(np.complex128 if amplitude.dtype.kind == "c" else np.float64)
 
 
 def _read_echoes(file: _File) -> tuple[Echoes, set[str]]:
@@ -213,8 +199,6 @@ def _read_echoes(file: _File) -> tuple[Echoes, set[str]]:
     table = {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
     file.check(table, _ECHO_NEEDS)
     got = file.together(_PULSE), file.together(_BEAM), file.together(_TRUTH)
-    if not got[0] and "pulse_window_parameter" in file.fields:
-        raise ValueError("pulse_kind: missing, expected beside pulse_window_parameter")
     if got[0] and "waveform" in file.fields:
         raise ValueError("waveform: found beside pulse_kind, expected one of the two")
     names = [name for name, field in table.items() if name in file.fields and name != "data" and field[0] != "text"]
@@ -233,15 +217,11 @@ def _read_echoes(file: _File) -> tuple[Echoes, set[str]]:
 
 
 def _read_pulse(file: _File, values: dict[str, Any]) -> LFM:
-    kind = file.text("pulse_kind")
-    if kind != "lfm":
+    if (kind := file.text("pulse_kind")) != "lfm":
         raise ValueError(f"pulse_kind: found {kind!r:.60}, expected 'lfm'")
-    fc, bandwidth, duration = (values.pop(f"pulse_{name}") for name in ("fc", "bandwidth", "duration"))
-    parameter = values.pop("pulse_window_parameter", None)
-    if parameter is not None and math.isnan(parameter):
-        parameter = None  # how some writers say that a window has none
+    parts = {name: values.pop(f"pulse_{name}", None) for name in ("fc", "bandwidth", "duration", "window_parameter")}
     try:
-        return LFM(fc, bandwidth, duration, file.text("pulse_window"), parameter)
+        return LFM(window=file.text("pulse_window"), **parts)
     except ValueError as error:
         raise ValueError(f"pulse: {error}") from None
 
@@ -257,7 +237,7 @@ def _image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]
 
 def _image_fields(image: Image) -> dict[str, Array]:
     grid = image.grid
-    if image.data.dtype.str[1:] not in _CODES["samples"]:
+    if image.data.dtype.str[1:] not in _KINDS["samples"][1]:
         raise TypeError(f"data: found {image.data.dtype}, expected complex64 or complex128 pixels")
     fields: dict[str, Any] = {"schema": IMAGE, "fc": image.fc, "c": image.c, "grid_kind": grid.kind}
     fields |= {f"grid_{name}": axis for name, axis in grid.axes.items()}
@@ -278,19 +258,13 @@ def _read_image(file: _File) -> tuple[Image, set[str]]:
     table = _image_table(kind, file.fields["data"][0] if "data" in file.fields else ())
     file.check(table, [name for name in table if name != "grid_mask"])
     names = [name for name in table if name.startswith("grid_") and name in file.fields and name != "grid_kind"]
-    parts = {name.removeprefix("grid_"): file.read(name) for name in names}
-    mask, height = parts.pop("mask", None), parts.pop("height", None)
-    if height is not None:
-        parts["z"] = height if height.ndim else height.item()
-    if kind == "points":
-        grid = Grid.points(parts["coords"], mask=mask)
-    else:
-        grid = getattr(Grid, kind)(**parts, mask=mask)
+    argument = {"height": "z", "coords": "points"}
+    parts = {argument.get(key := name.removeprefix("grid_"), key): file.read(name) for name in names}
+    if kind == "plane":
+        parts["z"] = parts["z"].item()
+    grid: Grid = getattr(Grid, kind)(**parts)
     report = Report.from_dict(_object("report", file.text("report")))
-    fc, c = file.read("fc").item(), file.read("c").item()
-    stand_in = np.broadcast_to(np.zeros((), file.fields["data"][1]), grid.shape)
-    Image(stand_in, grid, report, fc, c)
-    return Image(file.read("data"), grid, report, fc, c), set(table)
+    return Image(file.read("data"), grid, report, file.read("fc").item(), file.read("c").item()), set(table)
 
 
 def _plain(name: str, value: Any) -> Any:
@@ -302,9 +276,9 @@ def _plain(name: str, value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
     if isinstance(value, Mapping):
-        bad = next((key for key in value if not isinstance(key, str)), None)
-        if bad is not None:
-            raise TypeError(f"{name}: found key {bad!r}, expected strings")
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{name}: found key {key!r}, expected strings")
         return {key: _plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
     raise TypeError(f"{name}: found {type(value).__name__}, expected what JSON can hold")
 
@@ -352,14 +326,14 @@ class _File:
         """Presence, dtypes and shapes, against the schema and each other; nothing is read."""
         for name in needed:
             if name not in self.fields:
-                raise ValueError(f"{name}: missing, expected {_EXPECTED[table[name][0]]}")
+                raise ValueError(f"{name}: missing, expected {_KINDS[table[name][0]][0]}")
         sizes: dict[str, int] = {}
         for name, (kind, *shapes) in sorted(table.items(), key=lambda item: item[0] != "data"):
             if name not in self.fields:
                 continue
             shape, dtype = self.fields[name]
-            if not (dtype.kind in "US" and math.prod(shape) == 1 if kind == "text" else dtype.str[1:] in _CODES[kind]):
-                raise ValueError(f"{name}: found {dtype} of shape {shape}, expected {_EXPECTED[kind]}")
+            if not (dtype.kind in "US" and math.prod(shape) == 1 if kind == "text" else dtype.str[1:] in _KINDS[kind][1]):
+                raise ValueError(f"{name}: found {dtype} of shape {shape}, expected {_KINDS[kind][0]}")
             if kind == "text":
                 continue
             for words in map(str.split, shapes):
@@ -456,8 +430,7 @@ class _H5(_File):
                 raise ValueError(f"{name}: {error or type(error).__name__}") from error
 
     def _describe(self, name: str) -> None:
-        import h5py
-
+        h5py = _h5py()
         if not isinstance(self._file.get(name, getlink=True), h5py.HardLink):
             raise ValueError("found a link, expected a dataset within the file")
         item = self._file[name]
@@ -514,19 +487,9 @@ def _write_h5(path: Path, fields: dict[str, Array]) -> None:
                     layout.set_layout(h5py.h5d.COMPACT)
                     file.create_dataset(name, data=array, dcpl=layout)
                 else:
-                    file.create_dataset(name, data=array, chunks=_chunks(array), fletcher32=True)
+                    file.create_dataset(name, data=array, chunks=True, fletcher32=True)
     except RuntimeError as error:
         raise OSError(f"{path}: {error}") from error
-
-
-def _chunks(array: Array) -> tuple[int, ...]:
-    """Whole traces, and as many as make about a megabyte."""
-    left = max(1, _CHUNK_BYTES // array.dtype.itemsize)
-    chunks = []
-    for n in reversed(array.shape):
-        chunks.append(min(n, max(1, left)))
-        left //= chunks[-1]
-    return tuple(reversed(chunks))
 
 
 def _h5py() -> Any:

@@ -58,8 +58,9 @@ SHARE_INTERPOLATION = 0.85
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine, wrap-round at a hard edge
 ROWS = 32
 BATCH_BYTES = 24 * 2**20
-# cost model, ns: per term, per term and coefficient pair, per coefficient and fine sample; a kernel with exact delays
-TERM_NS, PAIR_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 9.6, 8.0
+# cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
+# coefficient of the preparation; a term with its own exact delay
+TERM_NS, PAIR_NS, CACHE_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 0.02, 9.6, 8.0
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ def _choose(scene: Scene, tol: float) -> Choices:
     for degree in THETA:
         rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = (TERM_NS if block else EXACT_NS) + PAIR_NS * (degree + 1) / 2
+        term = _term_ns(block, degree, n_fine / n_fft)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
@@ -243,6 +244,12 @@ def _choose(scene: Scene, tol: float) -> Choices:
         precision, degree, n_fine / n_fft, n_fft, n_fine, length, margin, taper, beta, block, near, terms,
         max(8, BATCH_BYTES // size // 8 * 8), kinds[scene.kind], errors,
     )  # fmt: skip
+
+
+def _term_ns(block: int, degree: int, oversampling: float) -> float:
+    """Predicted cost of a term, ns."""
+    base = TERM_NS if block else EXACT_NS
+    return base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)
 
 
 def _choose_delay(scene: Scene, tol: float) -> tuple[int, float, dict[str, float]]:
@@ -373,7 +380,7 @@ class Plan:
     def predicted_seconds(self) -> float:
         """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
         c, scene = self.choices, self.scene
-        term = (TERM_NS if c.block else EXACT_NS) + PAIR_NS * (c.degree + 1) / 2
+        term = _term_ns(c.block, c.degree, c.oversampling)
         if c.precision == "float64":
             term *= 2
         traces = int(np.count_nonzero(scene.heard))
