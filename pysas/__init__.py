@@ -1,6 +1,6 @@
 """pysas: an imaging engine for synthetic aperture sonar. State a relative error `tol`; the engine keeps it."""
 
-from pysas import metrics, reference, tracks
+from pysas import metrics, plot, reference, tracks
 from pysas.backprojection import backproject
 from pysas.compression import compress
 from pysas.echoes import Beam, Echoes
@@ -17,5 +17,5 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "compress", "from_phase_history", "load",
-    "metrics", "plan", "reference", "save", "show_config", "simulate", "tracks",
+    "metrics", "plan", "plot", "reference", "save", "show_config", "simulate", "tracks",
 ]  # fmt: skip

@@ -25,6 +25,17 @@ def _span(text: str) -> tuple[float, float]:
     return low, high
 
 
+def _joined(argv: Sequence[str]) -> list[str]:
+    """`--x -1:1` as `--x=-1:1`: argparse takes a value that begins with a minus for an option."""
+    joined: list[str] = []
+    for argument in argv:
+        if joined and joined[-1] in ("--x", "--y", "--z") and argument.startswith("-"):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> Any:
         self.exit(_ERROR, f"pysas: error: {message}\n")
@@ -109,7 +120,7 @@ class Progress:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code (0 well, 1 a failed check, 2 an error, 130 Ctrl-C)."""
-    arguments = parser().parse_args(argv)
+    arguments = parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
 
     def warn(message: Any, *_: Any, **__: Any) -> None:
         print(f"pysas: warning: {message}", file=sys.stderr)

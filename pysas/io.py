@@ -84,7 +84,7 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     -------
     Echoes or Image
         The scene's truth, where the file has it, is in `echoes.attrs` as arrays "truth_position", "truth_amplitude".
-        Samples are read as they are, non-finite ones included.
+        Samples are read as they are, non-finite ones included. Fields that the schema lacks are ignored, with a warning.
 
     Raises
     ------
@@ -92,11 +92,6 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
         A damaged file or one that breaks the schema; names file, field, found and expected.
     OSError, ImportError
         From the file system; .h5 without h5py (extra `hdf5`).
-
-    Warns
-    -----
-    UserWarning
-        Fields that the schema does not know; they are ignored.
     """
     opened = _container(path)[0]
     with open(path, "rb"):
@@ -460,10 +455,9 @@ class _H5(_File):
 
     def read(self, name: str) -> Array:
         try:
-            value: Array = np.asarray(self._file[name][()])
+            return np.asarray(self._file[name][()])
         except Exception as error:
             raise ValueError(f"{name}: damaged ({error})") from error
-        return value
 
 
 @contextlib.contextmanager
@@ -482,12 +476,14 @@ def _write_h5(path: Path, fields: dict[str, Array]) -> None:
                     encoded = str(array[()]).encode()
                     kind = h5py.string_dtype("utf-8", max(1, len(encoded)))
                     array = np.array(encoded if len(encoded) <= _COMPACT_BYTES else [encoded], dtype=kind)
-                if array.ndim == 0 or array.size == 0:
-                    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-                    layout.set_layout(h5py.h5d.COMPACT)
-                    file.create_dataset(name, data=array, dcpl=layout)
-                else:
-                    file.create_dataset(name, data=array, chunks=True, fletcher32=True)
+                if array.ndim and array.size:
+                    file.create_dataset(name, data=array, chunks=True, fletcher32=True).flush()
+                    continue
+                layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+                layout.set_layout(h5py.h5d.COMPACT)
+                kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create_simple(array.shape)
+                h5py.h5d.create(file.id, name.encode(), kind, space, layout).write(h5py.h5s.ALL, h5py.h5s.ALL, array)
+            file.flush()  # closing would not tell of a full disk
     except RuntimeError as error:
         raise OSError(f"{path}: {error}") from error
 

@@ -63,7 +63,7 @@ def quicklook(
     dynamic_range = _checks.number("dynamic_range", dynamic_range, positive=True)
     figure: Any
     if ax is None:
-        figure = Figure(figsize=(8, 6.5), layout="constrained")
+        figure = Figure(figsize=_size(image), layout="constrained")
         FigureCanvasAgg(figure)
         ax = figure.add_subplot()
     else:
@@ -111,6 +111,22 @@ def quicklook(
         with replacing(Path(path)) as temporary:
             figure.savefig(temporary, dpi=150, format=Path(path).suffix.lstrip(".").lower() or "png")
     return figure
+
+
+def _size(image: Image) -> tuple[float, float]:
+    """Figure size, inches, that the image's shape fills beside its colour bar."""
+    x, y, _ = np.ptp(image.grid.coordinates(_corners(image)), axis=0)
+    aspect = float(np.clip(x / max(y, 1e-300), 0.25, 4.0))
+    height = 7.0 if aspect < 1 else max(7.0 / aspect, 2.5)
+    return height * aspect + 2.2, height + 1.0
+
+
+def _corners(image: Image) -> npt.NDArray[np.int64]:
+    """Flat numbers of pixels that span the grid (all of an irregular one)."""
+    shape = image.grid.shape
+    if image.grid.kind in ("plane", "surface", "volume"):
+        return np.array([0, int(np.prod(shape[-2:])) - 1])
+    return np.arange(image.grid.size)
 
 
 def _origin(x: FloatArray, y: FloatArray) -> FloatArray:

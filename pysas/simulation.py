@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,9 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.pulse import LFM, WINDOWS
 
-_TASK_SAMPLES = 1 << 22  # echo samples of one task: some tens of milliseconds
+_TASK_SAMPLES = 1 << 21  # echo samples of one task: some tens of milliseconds
 _BLOCK_BYTES = 32 * 2**20  # of traces being summed in complex128
-_ALIASED_NORM = 0.01  # above this share of the pulse's norm outside the sampled band: warn
+_ALIASED = 1e-3  # share of the pulse's energy outside the sampled band that calls for a warning
 _RESTART = 64  # samples of the phase recurrence between exact values: its error grows as their square, to 5e-13
 _RECT, _GAUSSIAN, _TUKEY, _TAYLOR = (WINDOWS.index(name) for name in ("rect", "gaussian", "tukey", "taylor"))
 # columns of an element's row: boresight, along and up (3 each), length, height
@@ -134,12 +135,10 @@ def simulate(
         Transmitter at the instant of transmission, m.
     rx : (ping, channel, 3) or (ping, 3)
         Receivers at the instant of transmission, m; the data are (ping, channel, sample) or (ping, sample) accordingly.
-    fs : float
-        Sample rate, Hz.
+    fs, c : float
+        Sample rate, Hz; sound speed, m/s.
     duration : float
         Length of the record, s, at least the pulse's; sample n = 0 ... ceil(duration fs) - 1 is at t0 + n/fs.
-    c : float
-        Sound speed, m/s.
     t0 : float or (ping,)
         Time of sample 0 after the start of transmission, s.
     velocity : (ping, 3) or (ping, channel, 3), optional
@@ -173,13 +172,12 @@ def simulate(
     Raises
     ------
     ValueError, TypeError
-        An argument outside its range, of the wrong shape or type; the message names it and what is expected. With
-        `spreading`, a point on a transmitter or receiver.
+        An argument outside its range, of the wrong shape or type; with `spreading`, a point on a transmitter or receiver.
 
     Warns
     -----
     AliasingWarning
-        More than 1 % of the pulse's norm lies outside fs/2 either side of fc.
+        More than 1e-3 of the pulse's energy (3 % of its norm) lies outside fs/2 either side of fc.
 
     Notes
     -----
@@ -198,10 +196,8 @@ def simulate(
         raise ValueError(f"rx: shape {receivers.shape}: expected at least one ping and one channel")
     if not isinstance(spreading, bool | np.bool_):
         raise TypeError(f"spreading={spreading!r}: expected True or False")
-    if snr_db is not None:
-        snr_db = _checks.number("snr_db", snr_db)
-    if seed is not None:
-        seed = _checks.whole("seed", seed, low=0)
+    snr_db = None if snr_db is None else _checks.number("snr_db", snr_db)
+    seed = None if seed is None else _checks.whole("seed", seed, low=0)
     if progress is not None and not callable(progress):
         raise TypeError(f"progress={progress!r}: expected a callable or None")
     workers = _checks.threads(threads)
@@ -211,23 +207,13 @@ def simulate(
             raise TypeError(f"{name}={element!r}: expected a pysas.simulation.Element or None")
         elements.append(np.zeros((n_ping, _ELEMENT)) if element is None else element._rows(name, n_ping))
     shape = (*receivers.shape[:-1], _n_sample(duration, fs, pulse))
+    geometry: dict[str, Any] = {"tx": transmitters, "rx": receivers, "t0": t0, "velocity": velocity, "ping_time": ping_time}
+    data = np.zeros(shape, dtype=_complex_type(dtype))
     # validates what is left before the work starts; the samples are filled in below
-    echoes = Echoes(
-        np.zeros(shape, dtype=_complex_type(dtype)),
-        fs=fs,
-        fc=fc,
-        tx=transmitters,
-        rx=receivers,
-        c=c,
-        t0=t0,  # type: ignore[arg-type]
-        velocity=velocity,  # type: ignore[arg-type]
-        pulse=pulse,
-        compressed=False,
-        ping_time=ping_time,  # type: ignore[arg-type]
-        attrs={} if attrs is None else attrs,
-    )
+    extra = {} if attrs is None else attrs
+    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, **geometry)
     share = _aliased(pulse, fc, fs)
-    if math.sqrt(share) > _ALIASED_NORM:
+    if share > _ALIASED:
         warnings.warn(
             f"fs={fs:g} Hz: {math.sqrt(share):.2g} of the pulse's norm ({share:.2g} of its energy) lies outside "
             f"{fc:g} +- {fs / 2:g} Hz and aliases",
@@ -286,10 +272,10 @@ def _aliased(pulse: LFM, fc: float, fs: float) -> float:
     size = scipy.fft.next_fast_len(4 * n)
     power = np.abs(scipy.fft.fft(waveform, size)) ** 2
     # the band's edges lie between two bins: integrate the power linearly up to them
-    frequency = np.fft.fftshift(np.fft.fftfreq(size, step))
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (np.fft.fftshift(power)[1:] + np.fft.fftshift(power)[:-1]))])
-    low, high = np.interp([-fs / 2, fs / 2], frequency, total)
-    return float(max(1 - (high - low) / power.sum(), 0.0))
+    frequency, power = np.fft.fftshift(np.fft.fftfreq(size, step)), np.fft.fftshift(power)
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]))])
+    inside = float(np.diff(np.interp([-fs / 2, fs / 2], frequency, total))[0])
+    return max(1 - inside / float(power.sum()), 0.0)
 
 
 def _fill(
@@ -302,54 +288,49 @@ def _fill(
     workers: int,
     progress: Callable[[float], object] | None,
 ) -> float:
-    """Sum the echoes into `echoes.data`; returns the mean |signal|^2.
-
-    Traces are summed in blocks of bounded memory, points in chunks of bounded time: a task is one trace and one chunk.
-    """
-    pulse = echoes.pulse
+    """Sum the echoes, by blocks of traces (memory) and chunks of points (time), into the data; returns mean |signal|^2."""
+    traces, pulse = echoes.traces, echoes.pulse
     assert isinstance(pulse, LFM)
-    traces = echoes.traces
     n_ping, n_channel, n_sample = traces.shape
     tx, rx = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C")
     moving = echoes.receiver_velocity
     velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
     start = np.array(echoes.start_time)
     model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
-    length = (pulse.support[1] - pulse.support[0]) * echoes.fs
-    step = max(1, int(_TASK_SAMPLES / (16 + length) / (1 + 4 * (directive[0] + directive[1]))))
-    rows = max(workers, _BLOCK_BYTES // (16 * n_sample))
+    cost = (16 + 2 * model[3] * echoes.fs) * (1 + 4 * sum(directive))  # of an echo, in samples without a pattern
+    step = max(1, int(_TASK_SAMPLES / cost))
     n_trace, chunks = n_ping * n_channel, range(0, max(len(points), 1), step)
+    rows = min(max(workers, _BLOCK_BYTES // (16 * n_sample)), n_trace)
+    sums = np.empty((rows, n_sample), dtype=np.complex128)
     power = np.zeros(n_trace)
     total, finished = n_trace * len(chunks), 0
 
-    def add(trace: int, first: int, sums: Complex) -> None:
+    def add(block: int, first: int, task: int) -> None:
+        trace, row = block + task, sums[task]
         ping, channel = divmod(trace, n_channel)
         geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
         faces = (elements[0][ping], elements[1][ping])
         last = min(first + step, len(points))
-        bad = _add_echoes(sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive)
+        bad = _add_echoes(row, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive)
         if bad >= 0:
             where = f"point {bad} at {points[bad]} lies on the transmitter or receiver of ping {ping}, channel {channel}"
             raise ValueError(f"points: {where}: expected distances > 0 with spreading=True")
+        if last == len(points):
+            power[trace] = _power(row)
+            traces[ping, channel] = row
 
     def tick(done: int) -> None:
-        if progress is not None:
-            progress((finished + done) / total)
+        assert progress is not None
+        progress((finished + done) / total)
 
     for block in range(0, n_trace, rows):
         count = min(rows, n_trace - block)
-        sums = np.zeros((count, n_sample), dtype=np.complex128)
+        sums[:count] = 0
         for first in chunks:
-
-            def task(row: int, first: int = first, block: int = block, sums: Complex = sums) -> None:
-                add(block + row, first, sums[row])
-                if first == chunks[-1]:
-                    power[block + row] = _power(sums[row])
-                    traces[divmod(block + row, n_channel)] = sums[row]
-
+            task = partial(add, block, first)
             _pool.run(task, count, workers, None if progress is None else tick)
             finished += count
-    return float(power.sum()) / (n_trace * n_sample)
+    return float(power.mean() / n_sample)
 
 
 def _model(pulse: LFM, fc: float, fs: float, c: float) -> tuple[tuple[float, ...], int, tuple[float, ...]]:
@@ -374,21 +355,18 @@ def _add_noise(traces: ComplexArray, variance: float, seed: int | None, workers:
     """Add complex white Gaussian noise: a stream per ping, of which each channel has its own."""
     n_ping, n_channel, n_sample = traces.shape
     entropy = np.random.SeedSequence(seed).entropy
-    scale = math.sqrt(variance / 2)
 
     def task(trace: int) -> None:
         ping, channel = divmod(trace, n_channel)
         rng = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(ping, channel)))
-        noise = scale * rng.standard_normal((n_sample, 2)).view(np.complex128)[:, 0]
+        noise = math.sqrt(variance / 2) * rng.standard_normal((n_sample, 2)).view(np.complex128)[:, 0]
         traces[ping, channel] = traces[ping, channel] + noise
 
     _pool.run(task, n_ping * n_channel, workers)
 
 
-# Kernels. Everything below trusts its arguments; Numba infers the types.
-
-
-@njit(nogil=True, cache=False)
+# Kernels: they trust their arguments.
+@njit(nogil=True, cache=True)
 def _delay(x, y, z, tx, rx, v, c):  # type: ignore[no-untyped-def]
     """Travel time tau (s), range from the transmitter, and vector to the point from the receiver at reception (m)."""
     there = math.sqrt((x - tx[0]) ** 2 + (y - tx[1]) ** 2 + (z - tx[2]) ** 2)
@@ -406,7 +384,7 @@ def _delay(x, y, z, tx, rx, v, c):  # type: ignore[no-untyped-def]
     return tau, there, dx, dy, dz
 
 
-@njit(nogil=True, cache=False)
+@njit(nogil=True, cache=True)
 def _delays(points, tx, rx, v, c):  # type: ignore[no-untyped-def]
     """Travel times (s) of `points` (point, 3) for one trace."""
     out = np.empty(points.shape[0])
@@ -415,21 +393,18 @@ def _delays(points, tx, rx, v, c):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(nogil=True, cache=False)
+@njit(nogil=True, cache=True)
 def _turn(turns):  # type: ignore[no-untyped-def]
     """exp(2j pi turns)."""
     angle = 2 * math.pi * (turns - math.floor(turns + 0.5))
     return complex(math.cos(angle), math.sin(angle))
 
 
-@njit(nogil=True, cache=False)
-def _sinc(x):  # type: ignore[no-untyped-def]
-    return 1.0 if x == 0.0 else math.sin(math.pi * x) / (math.pi * x)
-
-
-@njit(nogil=True, cache=False)
-def _look(face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _look(directive, face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
     """Whether a point lies before an element's face, and the sincs' arguments per Hz."""
+    if not directive:
+        return True, 0.0, 0.0
     scale = math.sqrt(dx * dx + dy * dy + dz * dz) * c
     if not dx * face[0] + dy * face[1] + dz * face[2] > 0.0:
         return False, 0.0, 0.0
@@ -437,7 +412,7 @@ def _look(face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
     return True, along, face[_HEIGHT] * (dx * face[6] + dy * face[7] + dz * face[8]) / scale
 
 
-@njit(nogil=True, cache=False)
+@njit(nogil=True, cache=True)
 def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
     """Envelope at time `u` from the pulse's centre, inside its support."""
     if window == _GAUSSIAN:
@@ -451,7 +426,7 @@ def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
     return 1.0
 
 
-@njit(nogil=True, cache=False)
+@njit(nogil=True, cache=True)
 def _add_echoes(  # type: ignore[no-untyped-def]
     sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive
 ):
@@ -464,6 +439,7 @@ def _add_echoes(  # type: ignore[no-untyped-def]
     carrier, rate, duration, half, fc, fs, c = model
     offset, bend = carrier - fc, _turn(rate / fs / fs)
     n_sample = sums.size
+    across, sines, turns = np.zeros(4), np.zeros(4, dtype=np.complex128), np.zeros(4, dtype=np.complex128)
     for i in range(first, last):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         tau, there, dx, dy, dz = _delay(x, y, z, tx, rx, v, c)
@@ -485,21 +461,20 @@ def _add_echoes(  # type: ignore[no-untyped-def]
             high -= 1
         if low > high:
             continue
-        along_tx = up_tx = along_rx = up_rx = 0.0
-        if directive[0]:
-            seen, along_tx, up_tx = _look(faces[0], x - tx[0], y - tx[1], z - tx[2], c)
-            if not seen:
-                continue
-        if directive[1]:
-            seen, along_rx, up_rx = _look(faces[1], dx, dy, dz, c)
-            if not seen:
-                continue
+        before_tx, along_tx, up_tx = _look(directive[0], faces[0], x - tx[0], y - tx[1], z - tx[2], c)
+        before_rx, along_rx, up_rx = _look(directive[1], faces[1], dx, dy, dz, c)
+        if not (before_tx and before_rx):
+            continue
+        across[0], across[1], across[2], across[3] = along_tx, up_tx, along_rx, up_rx
         patterned = along_tx != 0.0 or up_tx != 0.0 or along_rx != 0.0 or up_rx != 0.0
         amplitude *= _turn(-fc * tau)
         for restart in range(low, high + 1, _RESTART):
             u = start + restart / fs - tau - duration / 2
             value = amplitude * _turn((0.5 * rate * u + offset) * u)
             advance = _turn((rate * (u + 0.5 / fs) + offset) / fs)
+            for k in range(across.size):
+                sines[k] = _turn(0.5 * (carrier + rate * u) * across[k])
+                turns[k] = _turn(0.5 * rate / fs * across[k])
             for n in range(restart, min(restart + _RESTART, high + 1)):
                 if window == _RECT and not patterned:
                     sums[n] += value
@@ -507,15 +482,17 @@ def _add_echoes(  # type: ignore[no-untyped-def]
                     u = start + n / fs - tau - duration / 2
                     gain = _window(window, terms, u, duration)
                     if patterned:
-                        f = carrier + rate * u
-                        gain *= _sinc(f * along_tx) * _sinc(f * up_tx) * _sinc(f * along_rx) * _sinc(f * up_rx)
+                        for k in range(across.size):
+                            x = math.pi * (carrier + rate * u) * across[k]
+                            gain *= sines[k].imag / x if abs(x) > 1e-3 else 1 - x * x / 6
+                            sines[k] *= turns[k]
                     sums[n] += value * gain
                 value *= advance
                 advance *= bend
     return -1
 
 
-@njit(nogil=True, cache=False)
+@njit(nogil=True, cache=True)
 def _power(trace):  # type: ignore[no-untyped-def]
     """Sum of |trace|^2 in one fixed order, wherever the array lies in memory."""
     total = 0.0

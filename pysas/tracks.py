@@ -152,7 +152,7 @@ def perturbed(
     correlation = _checks.number("correlation", correlation, positive=True)
     motion = {name: _checks.number(name, value, low=0.0) for name, value in (("sway", sway), ("heave", heave), ("yaw", yaw))}
     streams = np.random.SeedSequence(_checks.whole("seed", seed, low=0)).spawn(len(motion))
-    s = spacing * np.arange(n)
+    s = spacing * np.arange(n, dtype=np.float64)
     (y, vy), (z, vz), (heading, _) = (
         _harmonics(s, rms, correlation, stream) for rms, stream in zip(motion.values(), streams, strict=True)
     )
@@ -203,9 +203,9 @@ def circular(
     extent = _checks.number("extent", extent)
     if extent == 0:
         raise ValueError(f"extent={extent!r}: expected a non-zero angle in rad")
-    turned = extent * np.arange(n) / n
+    turned = extent * np.arange(n, dtype=np.float64) / n
     angle = start_angle + turned
-    yaw = angle + np.copysign(np.pi / 2, extent)
+    yaw = angle + (np.pi / 2 if extent > 0 else -np.pi / 2)
     zero = np.zeros(n)
     position = _place("centre", centre, height) + radius * np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
     velocity = speed * np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
@@ -249,7 +249,7 @@ def array(track: Track, n_channel: int, spacing: float, offset: Sequence[float] 
 
 def _place(name: str, value: npt.ArrayLike, height: float) -> FloatArray:
     place = _checks.reals(name, value, [(3,)])
-    return place + np.array([0.0, 0.0, _checks.number("height", height)])
+    return np.asarray(place + np.array([0.0, 0.0, _checks.number("height", height)]))
 
 
 def _harmonics(s: FloatArray, rms: float, correlation: float, stream: np.random.SeedSequence) -> tuple[FloatArray, FloatArray]:

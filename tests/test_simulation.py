@@ -39,11 +39,11 @@ def survey(n_ping: int = 3, n_channel: int = 2) -> tuple[FloatArray, FloatArray,
 
 def closed_form(point: FloatArray, tx: FloatArray, rx: FloatArray, v: FloatArray, c: float) -> FloatArray:
     """Positive root of (c^2 - v^2) tau^2 - 2 (c D1 - d.v) tau + D1^2 - d^2 = 0, in long double."""
-    point, tx, rx, v = (np.asarray(a, dtype=np.longdouble) for a in (point, tx, rx, v))
-    d1 = np.sqrt(np.sum((point - tx) ** 2, axis=-1))
-    d = point - rx
-    a = c**2 - np.sum(v**2, axis=-1)
-    b = c * d1 - np.sum(d * v, axis=-1)
+    x, speed = np.asarray(point, dtype=np.longdouble), np.asarray(v, dtype=np.longdouble)
+    d1 = np.sqrt(np.sum((x - tx) ** 2, axis=-1))
+    d = x - rx
+    a = c**2 - np.sum(speed**2, axis=-1)
+    b = c * d1 - np.sum(d * speed, axis=-1)
     return np.asarray((b + np.sqrt(b**2 - a * (d1**2 - np.sum(d**2, axis=-1)))) / a, dtype=np.float64)
 
 
@@ -73,14 +73,14 @@ def test_delay_is_the_root_of_the_quadratic(speed: float) -> None:
 @pytest.mark.parametrize("fc", [100e3, 97e3])
 def test_samples_are_the_pulse_s(name: str, fc: float) -> None:
     pulse, (tx, rx, v) = PULSES[name], survey()
-    points = np.array([[1.0, 30.0, 0.0], [-2.0, 29.0, 0.5], [0.5, 24.0, 0.0]])  # the last one's leading edge is cut
+    points = np.array([[1.0, 30.0, 0.0], [-2.0, 29.0, 0.5], [0.5, 20.0, 0.0]])  # the last one's leading edge is cut
     amplitudes = np.array([1.0, -0.3 + 0.8j, 2.0])
     echoes = simulate(points, amplitudes, pulse, tx=tx, rx=rx, velocity=v, fc=fc, dtype=np.complex128, **TRACE)
     assert echoes.data.shape == (3, 2, 1200) and not echoes.compressed and echoes.pulse is pulse and echoes.fc == fc
     expected = direct(points, amplitudes, pulse, tx, rx, v, 1200, fc)
     # 1e-10: 2 pi fc tau at 4000 turns in float64
     np.testing.assert_allclose(echoes.data, expected, rtol=0, atol=1e-10)
-    assert np.abs(expected[..., 0]).max() > 0.01 or pulse.window == "gaussian"
+    assert np.abs(expected[..., 0]).max() > 0.01
     single = simulate(points, amplitudes, pulse, tx=tx, rx=rx, velocity=v, fc=fc, **TRACE)
     np.testing.assert_array_equal(single.data, echoes.data.astype(np.complex64))
 
@@ -280,15 +280,17 @@ def test_aliasing_warning() -> None:
     scene: dict[str, Any] = {"tx": origin, "rx": origin, "duration": 0.05}
     # share 0.05325 by quadrature_share, norm 0.2308
     with pytest.warns(AliasingWarning, match=r"fs=20000 Hz: 0.23 of the pulse's norm \(0.053 of its energy\)"):
-        simulate([[0, 20, 0]], [1], LFM(100e3, 20e3, 1e-3), fs=20e3, **scene)
-    simulate([[0, 20, 0]], [1], LFM(100e3, 30e3, 2e-3, "tukey", 0.1), fs=40e3, **scene)  # a warning would be an error
+        simulate(np.array([[0.0, 20.0, 0.0]]), [1], LFM(100e3, 20e3, 1e-3), fs=20e3, **scene)
+    simulate(
+        np.array([[0.0, 20.0, 0.0]]), [1], LFM(100e3, 30e3, 2e-3, "tukey", 0.1), fs=40e3, **scene
+    )  # a warning would be an error
 
 
 @ALIASED
 def test_what_the_record_does_not_hold_is_left_out() -> None:
     origin = np.zeros((1, 3))
     scene: dict[str, Any] = {"tx": origin, "rx": origin, "fs": FS, "duration": 0.01, "t0": 0.01}
-    points = [[0, 1, 0], [0, 1e3, 0], [0, 1e200, 0]]
+    points = np.array([[0, 1, 0], [0, 1e3, 0], [0, 1e200, 0]])
     assert not simulate(points, np.ones(3), PULSES["rect"], **scene).data.any()
     assert not simulate(np.zeros((0, 3)), [], PULSES["rect"], **scene).data.any()
     # 0.07 s at 100 kHz: the product is 7000.000000000001
