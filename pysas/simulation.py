@@ -2,8 +2,7 @@
 
 A trace is the sum of amplitude waveform(t - tau, fc) exp(-2j pi fc tau) over the points, in complex128 and in the order of
 the points, so the echoes are bit-identical for any number of threads. The delays here are this module's own: the oracle
-and the engine have theirs, so that none can hide another's mistake. The kernels run without the GIL, in tasks short
-enough for Ctrl-C.
+and the engine have theirs, so that none can hide another's mistake. Tasks are short, for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -433,7 +432,7 @@ def _add_echoes(  # type: ignore[no-untyped-def]
     """Add the echoes of points first ... last - 1 to one trace. Returns -1, or a point without distance for `spreading`.
 
     The phase pi (rate u + 2 offset) u of the chirp is quadratic in the sample number, so exp(j phase) follows from two
-    complex products per sample: value *= advance; advance *= bend. Every _RESTART samples both are set anew.
+    complex products per sample: value *= advance; advance *= bend. Every _RESTART samples all are set anew.
     """
     tx, rx, v, start = geometry
     carrier, rate, duration, half, fc, fs, c = model

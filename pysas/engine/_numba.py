@@ -54,8 +54,8 @@ def _polynomial(typingctx, coefficients, x):
 
 
 @intrinsic
-def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, sums):
-    """Add SLOTS traces' terms of pixel `m` to its eight partial sums.
+def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, sums, first):
+    """Add SLOTS traces' terms of pixel `m` of a block to its eight partial sums, sums[first + 8 m ...].
 
     A row of `coefficients` holds an interval's complex polynomial coefficients (c0, c1), (c2, c3), ... One vector of four
     reals is a pair: even powers in the lower half, odd ones in the upper. With w = pair0 + t^2 (pair1 + ...), the sample is
@@ -63,10 +63,10 @@ def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, 
     Written as vectors because LLVM does not find this form in scalar code; the vectors are legal on every target.
     """
     count = pairs.count
-    signature = types.void(pairs, coefficients, interval, t2, cosines, sines, m, sums)
+    signature = types.void(pairs, coefficients, interval, t2, cosines, sines, m, sums, first)
 
     def codegen(context, builder, signature, args):
-        _, rows, k, squares, cc, ss, pixel, acc = (
+        _, rows, k, squares, cc, ss, pixel, acc, origin = (
             None if i == 0 else context.make_array(t)(context, builder, value=a).data if isinstance(t, types.Array) else a
             for i, (t, a) in enumerate(zip(signature.args, args, strict=True))
         )
@@ -90,7 +90,7 @@ def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, 
         def fma(a, b, c):
             return builder.fadd(builder.fmul(a, b, flags=_FLAGS), c, flags=_FLAGS)
 
-        place = builder.mul(pixel, const(8))
+        place = builder.add(builder.mul(pixel, const(8)), origin)
         halves = [load(acc, place, quad), load(acc, builder.add(place, const(4)), quad)]
         for slot in range(SLOTS):
             at = builder.add(pixel, const(slot * BLOCK))
@@ -141,33 +141,38 @@ def _delays(kind, g, c, x, y, z, count, out):
 
 @njit(nogil=True, cache=True, fastmath=_FAST, inline="always")
 def _factors(m, t, turns, sin_terms, cos_terms, cosines, sines):
-    """Store (cos, t cos) and (sin, t sin) of a phase in turns within [-1/2, 1/2]."""
+    """Store (cos, t cos) and (sin, t sin) of a phase in turns within [-1/2, 1/2] as pair number `m`."""
     q = turns * turns
     sine = turns * _polynomial(sin_terms, q)
     cosine = _polynomial(cos_terms, q)
-    cosines[2 * m] = cosine
-    cosines[2 * m + 1] = cosine * t
-    sines[2 * m] = sine
-    sines[2 * m + 1] = sine * t
+    # unsigned places: a signed one may count from the end, which costs a test and the vectors
+    even, odd = np.uintp(2 * m), np.uintp(2 * m + 1)
+    cosines[even] = cosine
+    cosines[odd] = cosine * t
+    sines[even] = sine
+    sines[odd] = sine * t
 
 
 @njit(nogil=True, cache=True, fastmath=_FAST)
-def _block(x, c0, c1, c2, c3, c4, base, turns, ratio, half, sin_terms, cos_terms, interval, t2, cosines, sines):
-    """Interval, squared position and phase factors of a block's pixels from its delay polynomial (in `real`)."""
+def _block(x, c0, c1, c2, c3, c4, base, turns, ratio, half, sin_terms, cos_terms, at, interval, t2, cosines, sines):
+    """Interval, squared position and phase factors of a block's pixels from its delay polynomial (in `real`).
+
+    Written from place `at` on: slices of arrays would cost more than the arithmetic they save.
+    """
     for m in range(x.size):
         xm = x[m]
         du = xm * ((c1 + xm * c2) + (xm * xm) * (c3 + xm * c4))
         u = c0 + du
         low = np.floor(u)
-        interval[m] = base + np.int32(low)
+        interval[np.uintp(at + m)] = base + np.int32(low)
         t = u - low - half
-        t2[m] = t * t
+        t2[np.uintp(at + m)] = t * t
         ph = turns + ratio * du
-        _factors(m, t, ph - np.floor(ph + half), sin_terms, cos_terms, cosines, sines)
+        _factors(at + m, t, ph - np.floor(ph + half), sin_terms, cos_terms, cosines, sines)
 
 
 @njit(nogil=True, cache=True, fastmath=_FAST)
-def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, interval, t2, cosines, sines):
+def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, interval, t2, cosines, sines):
     """The same from each pixel's own delay in float64; terms outside the record or the beam get weight 0. Counts terms.
 
     `part` (2, BLOCK) of `real` carries position and phase from the float64 loop to the short one.
@@ -187,19 +192,21 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, inter
         terms += counts
         u = (index - g[CROP]) * model[RATE] if counts else 0.0
         low = np.floor(u)
-        interval[m] = first + np.int32(low)
+        interval[np.uintp(at + m)] = first + np.int32(low)
         position = u - low - 0.5
         part[0, m] = position
-        t2[m] = position * position
+        t2[np.uintp(at + m)] = position * position
         turns = model[FC] * tau[m]
         part[1, m] = turns - np.floor(turns + 0.5)
         tau[m] = 1.0 if counts else 0.0
     for m in range(count):
-        _factors(m, part[0, m], part[1, m], sin_terms, cos_terms, cosines, sines)
+        _factors(at + m, part[0, m], part[1, m], sin_terms, cos_terms, cosines, sines)
     if terms < count:
         for m in range(count):
             if tau[m] == 0.0:
-                cosines[2 * m] = cosines[2 * m + 1] = sines[2 * m] = sines[2 * m + 1] = 0
+                for place in range(2 * (at + m), 2 * (at + m) + 2):
+                    cosines[place] = 0
+                    sines[place] = 0
     return terms
 
 
@@ -256,18 +263,21 @@ def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
     rows = start.size
     _delays(kind, g, model[C], nodes[0], nodes[1], nodes[2], NODES * rows, tau)
     scale = model[FS] * model[RATE]
+    offset = (g[T0] * model[FS] + g[CROP]) * model[RATE]
+    fc, first = model[FC], np.int32(g[FIRST])
     for r in range(rows):
-        centre = tau[2 * rows + r]
-        a, b = tau[r] - centre, tau[rows + r] - centre
-        d, e = tau[3 * rows + r] - centre, tau[4 * rows + r] - centre
-        u = ((centre - g[T0]) * model[FS] - g[CROP]) * model[RATE]
+        u = tau[2 * rows + r] * scale - offset
         low = np.floor(u)
-        start[r] = np.int32(g[FIRST]) + np.int32(low)
+        start[r] = first + np.int32(low)
         poly[0, r] = u - low
-        for q in range(1, NODES):
-            poly[q, r] = scale * (fit[q, 0] * a + fit[q, 1] * b + fit[q, 3] * d + fit[q, 4] * e)
-        turns = model[FC] * centre
+        turns = fc * tau[2 * rows + r]
         poly[5, r] = turns - np.floor(turns + 0.5)
+    for q in range(1, NODES):
+        a, b, d, e = scale * fit[q, 0], scale * fit[q, 1], scale * fit[q, 3], scale * fit[q, 4]
+        for r in range(rows):
+            centre = tau[2 * rows + r]
+            near = a * (tau[r] - centre) + b * (tau[rows + r] - centre)
+            poly[q, r] = near + d * (tau[3 * rows + r] - centre) + e * (tau[4 * rows + r] - centre)
 
 
 @njit(nogil=True, cache=True)
@@ -332,18 +342,17 @@ def sum_tile(
             traces[found], place[found], near[found] = trace, where, nearest < model[NEAR]
             found += 1
 
-    sums = np.zeros((rows, 8 * count), dtype=x.dtype)
-    interval = np.zeros((SLOTS, BLOCK), dtype=np.int32)
-    t2 = np.zeros((SLOTS, BLOCK), dtype=x.dtype)
-    cosines = np.zeros((SLOTS, 2 * BLOCK), dtype=x.dtype)
-    sines = np.zeros((SLOTS, 2 * BLOCK), dtype=x.dtype)
+    sums = np.zeros(rows * 8 * count, dtype=x.dtype)
+    interval = np.zeros(SLOTS * BLOCK, dtype=np.int32)
+    t2 = np.zeros(SLOTS * BLOCK, dtype=x.dtype)
+    cosines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
+    sines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
     poly = np.empty((SLOTS, NODES + 1, rows), dtype=x.dtype)
     start = np.empty((SLOTS, rows), dtype=np.int32)
     part = np.empty((2, BLOCK), dtype=x.dtype)
     tau = np.empty(max(BLOCK, NODES * rows))
     row_centre = np.empty(3)
     ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
-    intervals, squares, cc, ss = interval.ravel(), t2.ravel(), cosines.ravel(), sines.ravel()
     terms = 0
     for group in range(0, found, SLOTS):
         filled = min(SLOTS, found - group)
@@ -355,46 +364,42 @@ def sum_tile(
             if not active[r]:
                 continue
             used = False
-            lo, hi = r * count, (r + 1) * count
             for slot in range(SLOTS):
-                where = OUTSIDE
+                at = slot * BLOCK
+                where, exact, i = OUTSIDE, False, group + slot
                 if slot < filled:
-                    i = group + slot
-                    g = geometry[traces[i]]
-                    where = place[i]
-                    exact = not straight or near[i]
+                    where, exact = place[i], not straight or near[i]
                     if where == ACROSS and not exact:
-                        for axis in range(3):
-                            row_centre[axis] = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
                         reach = 0.0
                         for axis in range(3):
-                            reach += (blocks[r, 3 + axis] * (count - 1) / 2) ** 2
-                        where, _ = _reach(g, model, row_centre, np.sqrt(reach))
+                            half_length = blocks[r, 3 + axis] * (count - 1) / 2
+                            row_centre[axis] = blocks[r, axis] + half_length
+                            reach += half_length * half_length
+                        where, _ = _reach(geometry[traces[i]], model, row_centre, np.sqrt(reach))
                         exact = where == ACROSS
                 if where == OUTSIDE:
-                    cosines[slot, :] = 0
-                    sines[slot, :] = 0
-                    interval[slot, :] = 0
-                elif exact:
-                    used = True
+                    interval[at : at + BLOCK] = 0
+                    cosines[2 * at : 2 * (at + BLOCK)] = 0
+                    sines[2 * at : 2 * (at + BLOCK)] = 0
+                    continue
+                used = True
+                if exact:
+                    lo, hi = r * count, (r + 1) * count
                     terms += _exact_block(
-                        kind, g, model, px[lo:hi], py[lo:hi], pz[lo:hi], tau, part, sin_terms, cos_terms,
-                        interval[slot], t2[slot], cosines[slot], sines[slot],
+                        kind, geometry[traces[i]], model, px[lo:hi], py[lo:hi], pz[lo:hi], tau, part, sin_terms, cos_terms,
+                        at, interval, t2, cosines, sines,
                     )  # fmt: skip
                 else:
-                    used = True
                     terms += count
-                    p = poly[slot]
                     _block(
-                        x, p[0, r], p[1, r], p[2, r], p[3, r], p[4, r], start[slot, r], p[5, r], ratio, half,
-                        sin_terms, cos_terms, interval[slot], t2[slot], cosines[slot], sines[slot],
+                        x, poly[slot, 0, r], poly[slot, 1, r], poly[slot, 2, r], poly[slot, 3, r], poly[slot, 4, r],
+                        start[slot, r], poly[slot, 5, r], ratio, half, sin_terms, cos_terms, at, interval, t2, cosines, sines,
                     )  # fmt: skip
             if used:
-                row = sums[r]
                 for m in range(count):
-                    _add_terms(pairs, coefficients, intervals, squares, cc, ss, m, row)
+                    _add_terms(pairs, coefficients, interval, t2, cosines, sines, m, sums, r * 8 * count)
     for r in range(rows):
         for m in range(count):
-            a = sums[r, 8 * m : 8 * m + 8]
+            a = sums[8 * (r * count + m) : 8 * (r * count + m) + 8]
             out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
     return terms
