@@ -27,7 +27,7 @@ def small(tmp_path_factory):
     pulse = pysas.LFM(100e3, 15e3, 1e-3, "tukey", 0.3)
     raw = pysas.simulate(
         [[0.2, 8.0, 0.0]], [1.0], pulse, tx=track.position, rx=pysas.tracks.array(track, 2, 0.05), fs=40e3, duration=0.014,
-        velocity=track.velocity, ping_time=track.time, 
+        velocity=track.velocity, ping_time=track.time,
         attrs={"truth_position": np.array([[0.2, 8.0, 0.0]]), "truth_amplitude": np.ones(1)},
     )  # fmt: skip
     pysas.save(folder / "raw.npz", raw)
