@@ -13,7 +13,7 @@ from scipy.special import jv
 
 DEGREES = (1, 3, 5, 7)
 DECADES = tuple(0.5 * i for i in range(2, 25))  # tolerances 1e-1 ... 1e-12
-GUARD_DECADES = tuple(0.5 * i for i in range(2, 13))  # 1e-1 ... 1e-6
+GUARD_DECADES = tuple(0.5 * i for i in range(2, 23))  # 1e-1 ... 1e-11
 
 
 def series_error(theta: float, degree: int) -> float:
@@ -40,7 +40,7 @@ def low_pass_kernel(t: np.ndarray) -> np.ndarray:
 
 
 def guard_table() -> tuple[int, ...]:
-    t = np.arange(1, 40001) - 0.5  # half way between samples is the worst place
+    t = np.arange(1, 400001) - 0.5  # half way between samples is the worst place
     tail = np.sqrt(np.cumsum((low_pass_kernel(t) ** 2)[::-1])[::-1])
     return tuple(int(np.argmax(tail < 10.0**-e)) + 1 for e in GUARD_DECADES)
 

@@ -21,7 +21,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from pysas import _checks, engine
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
-from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP
+from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, summation
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
@@ -50,12 +50,13 @@ THETA = {
         0.5181503, 0.4486054, 0.3884151, 0.3363139, 0.2912101, 0.2521608, 0.2183514,
     ),
 }
-GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642)
+GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642, 1018, 1625, 2572, 4070, 6447, 10213, 16193, 25657, 40675, 64460)
 # fmt: on
 
 METHODS = ("auto", "backprojection")
 SHARE_INTERPOLATION = 0.85
-SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine, wrap-round at a hard edge
+SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
+SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 ROWS = 32
 BATCH_BYTES = 24 * 2**20
 # cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
@@ -112,10 +113,10 @@ def interpolation_error(degree: int, theta: float) -> float:
     return float(10.0 ** -np.interp(below, logs, exponents))
 
 
-def guard(error: float) -> int | None:
-    """Zeros that keep wrap-round below `error`, or None where only a doubled record will do."""
+def guard(error: float) -> int:
+    """Zeros that keep wrap-round below `error` (at most 1e-11)."""
     index = int(np.ceil(2 * (-np.log10(error) - 1) - 1e-9))
-    return GUARD[max(index, 0)] if index < len(GUARD) else None
+    return GUARD[min(max(index, 0), len(GUARD) - 1)]
 
 
 def trigonometry(terms: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], float]:
@@ -219,12 +220,8 @@ def _choose(scene: Scene, tol: float) -> Choices:
             break
     errors["sine and cosine"] = wrong
     length, margin, taper, beta = _crop(scene, tol)
-    pad = guard(SHARE_PHASE * tol) if length == scene.n_sample else 0
-    if pad is None:
-        # W's kernel falls as 38/t^3: a chopped white record of 1024 samples needs this many times its length in zeros
-        pad = length * (1 if tol >= 1e-7 else 3 if tol >= 1e-9 else 7)
-    pad = min(pad, 7 * length)
-    errors["wrap-round"] = SHARE_PHASE * tol if pad else 0.0
+    pad = guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
+    errors["wrap-round"] = SHARE_WRAP * tol if pad else 0.0
     n_fft = scipy.fft.next_fast_len(length + pad)
     left = max(min(SHARE_INTERPOLATION * tol, tol - sum(errors.values())), 0.3 * tol)
     best: tuple[float, int, int] | None = None
@@ -238,7 +235,7 @@ def _choose(scene: Scene, tol: float) -> Choices:
     assert best is not None
     _, degree, n_fine = best
     errors["interpolation"] = interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
-    size = n_fine * (degree + 1) * (8 if single else 16)
+    size = int(length * n_fine / n_fft) * (degree + 1) * (8 if single else 16)
     kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
     return Choices(
         precision, degree, n_fine / n_fft, n_fft, n_fine, length, margin, taper, beta, block, near, terms,
@@ -298,7 +295,7 @@ def _crop(scene: Scene, tol: float) -> tuple[int, int, int, float]:
         return scene.n_sample, 0, 0, 0.0
     free = 1 / 2.2 - scene.band
     margin = guard(tol)
-    if free < 0.01 or margin is None:
+    if free < 0.01:
         return scene.n_sample, 0, 0, 0.0
     beta = np.log(1e3 / tol)
     taper = int(np.ceil(np.sqrt(1 + (beta / np.pi) ** 2) / free)) + 1
@@ -391,8 +388,8 @@ class Plan:
         """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
         c = self.choices
         item = 8 if c.precision == "float32" else 16
-        work = c.batch * c.n_fine * (c.degree + 1) * item
-        work += self.threads * 8 * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
+        work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
+        work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
         return int(self.grid.size * self.dtype.itemsize + work)
 
     def explain(self) -> str:

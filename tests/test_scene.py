@@ -481,7 +481,7 @@ def test_image_repr() -> None:
     for part in (
         "complex128, backprojection, tol 0.001, numba 2 threads",
         "peak       3 at x 2.5000, y 20.0000, z 0.0000 m",
-        "sum of 1000 terms",
+        "sum, 1000 terms",
         "note       a note",
         "Grid: plane, 2 x 3 pixels",
     ):

@@ -19,7 +19,10 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba
 from pysas.engine.preparation import Interpolator, coefficients
 
-_ROWS_PER_TASK = 8
+
+def rows_per_task(n_fine: int) -> int:
+    """Traces a worker transforms at a time: several, unless their transforms outgrow the cache."""
+    return max(1, min(8, 2**19 // n_fine))
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ def accumulate(
     pairs = (0,) * ((reader.degree + 1) // 2)
     half = scalar(0.5)
     n_sample = data.shape[-1]
+    at_once = rows_per_task(reader.n_fine)
     counted = np.zeros(len(tiles), dtype=np.int64)
     prepared = summed = 0.0
     batches = range(0, len(order), batch)
@@ -115,8 +119,8 @@ def accumulate(
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
 
         def prepare(task: int, part: npt.NDArray[np.int64] = part, begin: int = begin, table: Any = table) -> None:
-            lo = task * _ROWS_PER_TASK
-            rows = part[lo : lo + _ROWS_PER_TASK]
+            lo = task * at_once
+            rows = part[lo : lo + at_once]
             segments = np.zeros((rows.size, reader.length), dtype=complex_kind)
             for i, flat in enumerate(rows):
                 trace = (
@@ -131,7 +135,7 @@ def accumulate(
                 segments *= reader.window
             coefficients(segments, reader, table[lo : lo + rows.size])
 
-        pool.run(prepare, -(-part.size // _ROWS_PER_TASK), threads)
+        pool.run(prepare, -(-part.size // at_once), threads)
         geometry = survey.geometry[begin : begin + part.size].copy()
         geometry[:, _numba.FIRST] = np.arange(part.size) * reader.intervals
         flat_table = table.reshape(-1).view(kind)
