@@ -131,10 +131,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always")
         warnings.showwarning = warn
         try:
-            return int(getattr(commands, arguments.command)(arguments, Progress(arguments.json)))
+            code = int(getattr(commands, arguments.command)(arguments, Progress(arguments.json)))
+            sys.stdout.flush()
+            return code
         except KeyboardInterrupt:
             print("pysas: interrupted", file=sys.stderr)
             return _INTERRUPTED
+        except BrokenPipeError:  # the reader, such as `head`, has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return _ERROR
         except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
             if os.environ.get("PYSAS_DEBUG"):
                 raise

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,6 @@ import numpy as np
 from pysas import compression, framing, io, metrics, plot, reference, tracks
 from pysas import demo as demonstration
 from pysas._checks import FloatArray
-from pysas.backprojection import backproject
 from pysas.cli import Progress
 from pysas.echoes import Echoes
 from pysas.grid import Grid
@@ -79,18 +80,24 @@ def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None)
     """Load, compress if raw, image, save, draw; the one path of `demo` and `image`."""
     if arguments.png is not None and not _matplotlib():
         raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+    _require_places(arguments.output, arguments.png)
     echoes = _echoes(arguments.raw)
     how = "given grid"
     if grid is None:
         grid, how = _grid(arguments, echoes)
     seconds = {}
+    # a plan of the compressed echoes: what cannot be met is said before anything is compressed
+    chosen = plan(
+        echoes.replace(compressed=True), grid, arguments.tol, arguments.method, arguments.threads, arguments.backend,
+        nan=arguments.nan,
+    )  # fmt: skip
     if not echoes.compressed:
         clock = time.perf_counter()
+        if arguments.nan == "mask":
+            echoes = _silenced(echoes)
         echoes = compression.compress(echoes, threads=arguments.threads, progress=progress.step("compressing"))
         seconds["compress"] = time.perf_counter() - clock
-    picture = backproject(
-        echoes, grid, arguments.tol, arguments.threads, arguments.backend, nan=arguments.nan, progress=progress.step("imaging")
-    )
+    picture = chosen(echoes.data, progress=progress.step("imaging"))
     seconds |= {"prepare": picture.report.prepare_seconds, "sum": picture.report.sum_seconds}
     targets = _targets(picture, echoes)
     if arguments.output is not None:
@@ -104,6 +111,26 @@ def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None)
         "targets": targets,
     }  # fmt: skip
     return picture, summary, echoes
+
+
+def _require_places(*names: str | None) -> None:
+    """Raise now what writing would raise after the work."""
+    if names[0] is not None and Path(names[0]).suffix.lower() not in (".npz", ".h5"):
+        raise ValueError(f"{names[0]}: found suffix {Path(names[0]).suffix!r}, expected .npz or .h5")
+    for name in names:
+        if name is not None and not Path(name).absolute().parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, "no such folder", str(Path(name).parent))
+
+
+def _silenced(echoes: Echoes) -> Echoes:
+    """Traces that hold a non-finite sample set to zero: compression would spread it, and zeros add nothing to an image."""
+    bad = np.array([~np.isfinite(traces).all(axis=-1) for traces in echoes.traces])
+    if not bad.any():
+        return echoes
+    warnings.warn(f"{np.count_nonzero(bad)} of {bad.size} traces left out: non-finite samples", stacklevel=2)
+    data = echoes.data.copy()
+    data[bad if data.ndim == 3 else bad[:, 0]] = 0
+    return echoes.replace(data=data)
 
 
 def _matplotlib() -> bool:
@@ -137,7 +164,10 @@ def _grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, str]:
     axes = []
     for name, limits in (("x", arguments.x), ("y", arguments.y)):
         axis = grid.axes[name]
-        axes.append(axis if limits is None else framing.span(limits[0], limits[1], float(axis[1] - axis[0])))
+        step = arguments.spacing
+        if step is None:  # an axis of one pixel has no step: the other's will do
+            step = float(np.diff(axis if axis.size > 1 else grid.axes["y" if name == "x" else "x"])[0])
+        axes.append(axis if limits is None else framing.span(limits[0], limits[1], step))
     return Grid.plane(axes[0], axes[1], z), f"given spans, else {how}"
 
 
@@ -228,9 +258,12 @@ def info(arguments: argparse.Namespace, progress: Progress) -> int:
             "range_resolution": item.range_resolution, "phase_centre_spacing": list(item.phase_centre_spacing()),
             "warnings": item.warnings(),
         }  # fmt: skip
-        grid, how = framing.default_grid(item)
-        chosen = plan(item.replace(compressed=True), grid, arguments.tol)
-        summary = chosen.explain() if arguments.plan else str(chosen)
+        try:
+            grid, how = framing.default_grid(item)
+            chosen = plan(item.replace(compressed=True), grid, arguments.tol)
+            summary = chosen.explain() if arguments.plan else str(chosen)
+        except ValueError as error:  # what the file holds is worth seeing where it cannot be imaged so
+            how, summary = "none", f"no plan: {error}"
         values |= {"grid": how, "plan": summary}
         title = item.attrs.get("title")
         text = "\n".join([repr(item)] + ([f"  title      {title}"] if title else []) + [f"default grid: {how}", summary])

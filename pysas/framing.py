@@ -77,9 +77,12 @@ def default_grid(echoes: Echoes, z: float = 0.0, spacing: float | None = None) -
 
 
 def span(low: float, high: float, step: float) -> FloatArray:
-    """Multiples of `step` from `low` to `high`."""
+    """Multiples of `step` from `low` to `high`, at least one."""
+    step = _checks.number("spacing", step, positive=True)
     first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
-    axis: FloatArray = np.asarray(np.arange(first, max(last, first) + 1) * step, dtype=np.float64)
+    if last < first:
+        raise ValueError(f"spacing={step:g}: no multiple of it within {low:g} to {high:g} m: expected a smaller one")
+    axis: FloatArray = np.asarray(np.arange(first, last + 1) * step, dtype=np.float64)
     return axis
 
 

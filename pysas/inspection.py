@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pysas._checks import FloatArray
 from pysas.echoes import Echoes
 from pysas.pulse import LFM
 
@@ -23,11 +24,13 @@ def inspect(echoes: Echoes) -> list[Finding]:
     """All checks, in the order a person would fix things; O(samples)."""
     return [
         _finite(echoes),
+        _silent(echoes),
         _clipped(echoes),
         _times(echoes),
         _range_sampling(echoes),
         _along_track(echoes),
-        _smooth(echoes),
+        _track(echoes),
+        _receivers(echoes),
         _pulse(echoes),
     ]
 
@@ -43,11 +46,25 @@ def _finite(echoes: Echoes) -> Finding:
     return Finding("finite samples", "ok", f"{echoes.data.size} samples")
 
 
+def _silent(echoes: Echoes) -> Finding:
+    """Traces without a sound: a dead channel, or pings that were not stored."""
+    silent = np.array([~np.any(traces, axis=-1) for traces in echoes.traces])
+    if not silent.any():
+        return Finding("silent traces", "ok", "none")
+    ping, channel = (int(i) for i in np.argwhere(silent)[0])
+    dead = [str(i) for i in np.flatnonzero(silent.all(axis=0))]
+    text = f"{np.count_nonzero(silent)} of {silent.size}, first at ping {ping}, channel {channel}"
+    return Finding("silent traces", "warn", text + (f"; dead channels {', '.join(dead)}" if dead else ""))
+
+
 def _clipped(echoes: Echoes) -> Finding:
     """A converter's limit shows as many samples at one largest value."""
     worst, where = 0, 0
-    top = max(float(np.nanmax(np.abs(part))) for traces in echoes.traces for part in (traces.real, traces.imag))
-    if top > 0 and np.isfinite(top):
+    top = 0.0
+    for traces in echoes.traces:
+        for part in (traces.real, traces.imag):
+            top = max(top, float(np.max(np.abs(part), where=np.isfinite(part), initial=0.0)))
+    if top > 0:
         for ping, traces in enumerate(echoes.traces):
             count = int(np.count_nonzero(np.abs(traces.real) == top) + np.count_nonzero(np.abs(traces.imag) == top))
             if count > worst:
@@ -89,23 +106,46 @@ def _along_track(echoes: Echoes) -> Finding:
     return Finding("along-track sampling", "ok", text + f", within D/4 = {length / 4:.4g} m")
 
 
-def _smooth(echoes: Echoes) -> Finding:
-    """Repeats and jumps: a second difference far above the track's usual one cannot be the platform's motion."""
+def _track(echoes: Echoes) -> Finding:
+    """Jumps across the track, which no platform makes; repeats and gaps along it, which cost quality but not focus."""
     if echoes.n_ping < 4:
         return Finding("track", "ok", f"{echoes.n_ping} pings")
-    steps = np.linalg.norm(np.diff(echoes.tx, axis=0), axis=1)
-    if np.any(steps == 0):
-        return Finding("track", "warn", f"the transmitter does not move first at ping {int(np.argmax(steps == 0)) + 1}")
-    bends = np.linalg.norm(np.diff(echoes.tx, 2, axis=0), axis=1)
-    limit = max(20 * float(np.median(bends)), 2 * float(np.median(steps)))
-    if np.any(bends > limit):
-        worst = int(np.argmax(bends > limit))
+    steps = np.diff(echoes.tx, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    bends = np.diff(steps, axis=0)
+    along = (steps[1:] + steps[:-1]) / np.maximum(np.linalg.norm(steps[1:] + steps[:-1], axis=1, keepdims=True), 1e-300)
+    across = np.linalg.norm(bends - np.sum(bends * along, axis=1, keepdims=True) * along, axis=1)
+    jump = _first_jump(across, echoes)
+    if jump is not None:
         return Finding(
-            "track",
-            "FAIL",
-            f"jump near ping {worst + 1}: second difference {bends[worst]:.4g} m, usual {np.median(bends):.2g} m",
+            "track", "FAIL", f"jump of {across[jump]:.4g} m first at ping {jump + 2}, usual {np.median(across):.2g} m"
         )
-    return Finding("track", "ok", f"{float(steps.sum()):.4g} m, largest step {steps.max():.4g} m")
+    if np.any(lengths == 0):
+        return Finding("track", "warn", f"the transmitter does not move first at ping {int(np.argmax(lengths == 0)) + 1}")
+    usual = float(np.median(lengths))
+    if np.any(lengths > 1.5 * usual):
+        gap = int(np.argmax(lengths > 1.5 * usual))
+        return Finding("track", "warn", f"gap of {lengths[gap]:.4g} m first before ping {gap + 1}, usual step {usual:.4g} m")
+    return Finding("track", "ok", f"{float(lengths.sum()):.4g} m, largest step {lengths.max():.4g} m")
+
+
+def _receivers(echoes: Echoes) -> Finding:
+    """Jumps of a receiver against the transmitter: the array turns with the platform, smoothly."""
+    if echoes.n_ping < 4:
+        return Finding("receivers", "ok", f"{echoes.n_ping} pings")
+    bends = np.linalg.norm(np.diff(echoes.receivers - echoes.tx[:, None], 2, axis=0), axis=-1)
+    jump = _first_jump(bends.max(axis=1), echoes)
+    if jump is not None:
+        channel = int(np.argmax(bends[jump]))
+        where = f"ping {jump + 2}, channel {channel}"
+        return Finding("receivers", "FAIL", f"jump of {bends[jump, channel]:.4g} m against the transmitter first at {where}")
+    return Finding("receivers", "ok", f"{echoes.n_channel} channels keep their places")
+
+
+def _first_jump(bends: FloatArray, echoes: Echoes) -> int | None:
+    """Index of the first second difference that is far above the usual one and above an eighth of a wavelength."""
+    high = bends > max(10 * float(np.median(bends)), echoes.c / echoes.fc / 8)
+    return int(np.argmax(high)) if high.any() else None
 
 
 def _pulse(echoes: Echoes) -> Finding:
@@ -116,4 +156,9 @@ def _pulse(echoes: Echoes) -> Finding:
     record = (echoes.n_sample - 1) / echoes.fs
     if seconds > record and not echoes.compressed:
         return Finding("pulse", "FAIL", f"{seconds:.4g} s, longer than the record of {record:.4g} s")
+    if isinstance(echoes.pulse, LFM) and not echoes.compressed:
+        low, high = (echoes.pulse.fc - echoes.fc + sign * echoes.pulse.occupied_bandwidth / 2 for sign in (-1, 1))
+        if max(-low, high) > echoes.fs / 2 * (1 + 1e-9):
+            band = f"band {low:g} to {high:g} Hz about fc"
+            return Finding("pulse", "FAIL", f"{band}, beyond what fs {echoes.fs:g} Hz holds: +-{echoes.fs / 2:g} Hz")
     return Finding("pulse", "ok", f"{seconds:.4g} s in a record of {record:.4g} s")

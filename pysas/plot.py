@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import FloatArray
+from pysas.grid import Grid
 from pysas.image import Image
 from pysas.io import replacing
 
-_MOST = 1600  # pixels drawn per axis; more are reduced by block maxima, so that points do not vanish
+_DPI = 150
 _FAR = 1e4  # coordinates beyond this are drawn about a round origin named on the axis
 
 
@@ -63,7 +64,7 @@ def quicklook(
     dynamic_range = _checks.number("dynamic_range", dynamic_range, positive=True)
     figure: Any
     if ax is None:
-        figure = Figure(figsize=_size(image), layout="constrained")
+        figure = Figure(figsize=_size(image), dpi=_DPI, layout="constrained")
         FigureCanvasAgg(figure)
         ax = figure.add_subplot()
     else:
@@ -74,7 +75,11 @@ def quicklook(
     if grid.kind == "volume":
         magnitude, note = magnitude.max(axis=0), ", maximum over z"
     positive = magnitude[magnitude > 0]
+    level = "dB below the 99.9th percentile"
     peak = float(np.percentile(positive, 99.9)) if positive.size else 1.0
+    if positive.size and peak < (floor := float(positive.max()) * 10 ** (-dynamic_range / 40)):
+        # points so few that the percentile is that of the noise: half the range is theirs
+        peak, level = floor, f"dB below {dynamic_range / 2:g} dB under the peak"
     with np.errstate(divide="ignore"):
         db = np.maximum(20 * np.log10(magnitude / peak), -2 * dynamic_range)
     style: dict[str, Any] = {"vmin": -dynamic_range, "vmax": 0.0, "cmap": "inferno"}
@@ -86,14 +91,7 @@ def quicklook(
     elif grid.kind == "polar":
         x, y, _ = grid.coordinates().T
         origin = _origin(x, y)
-        drawn = ax.pcolormesh(
-            (x - origin[0]).reshape(grid.shape),
-            (y - origin[1]).reshape(grid.shape),
-            db,
-            shading="nearest",
-            rasterized=True,
-            **style,
-        )
+        drawn = _draw_sector(ax, grid, origin, db, style)
     else:
         x, y, _ = grid.coordinates().T
         origin = _origin(x, y)
@@ -104,12 +102,12 @@ def quicklook(
     ax.set_aspect("equal")
     for axis, name, start in ((ax.xaxis, "x (along-track)", origin[0]), (ax.yaxis, "y (across-track)", origin[1])):
         axis.set_label_text(f"{name}, m" + (f" from {start:.0f}" if start else ""))
-    figure.colorbar(drawn, ax=ax, label="dB below the 99.9th percentile", shrink=0.85)
+    figure.colorbar(drawn, ax=ax, label=level, shrink=0.85)
     tol = "" if image.report.tol is None else f", tol {image.report.tol:g}"
     ax.set_title((f"{image.report.method}{tol}" if title is None else title) + note)
     if path is not None:
         with replacing(Path(path)) as temporary:
-            figure.savefig(temporary, dpi=150, format=Path(path).suffix.lstrip(".").lower() or "png")
+            figure.savefig(temporary, dpi=_DPI, format=Path(path).suffix.lstrip(".").lower() or "png")
     return figure
 
 
@@ -134,16 +132,47 @@ def _origin(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.array([0.0 if np.max(np.abs(v)) < _FAR else np.floor(np.min(v) / 100) * 100 for v in (x, y)])
 
 
+def _room(ax: Any, x: FloatArray, y: FloatArray) -> float:
+    """Dots per metre that axes over these coordinates have at least: drawing more pixels would skip some."""
+    box = ax.get_window_extent()
+    return 0.85 * float(min(box.width / max(np.ptp(x), 1e-9), box.height / max(np.ptp(y), 1e-9)))
+
+
+def _reduced(
+    db: FloatArray, first: FloatArray, second: FloatArray, room: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int]]:
+    """Maxima of blocks, about `room` of them along each axis, the axes of their middles, and the blocks' size."""
+    size = tuple(max(1, int(np.ceil(n / max(most, 16.0)))) for n, most in zip(db.shape, room, strict=True))
+    for axis, block in enumerate(size):
+        db = np.maximum.reduceat(db, np.arange(0, db.shape[axis], block), axis=axis)
+    axes = [
+        np.array([part.mean() for part in np.split(v, range(block, v.size, block))])
+        for v, block in zip((first, second), size, strict=True)
+    ]
+    return db, axes[0], axes[1], (size[0], size[1])
+
+
 def _draw_rectangles(ax: Any, x: FloatArray, y: FloatArray, db: FloatArray, style: dict[str, Any]) -> Any:
-    rows, columns = (max(1, -(-n // _MOST)) for n in db.shape)
-    if rows > 1 or columns > 1:
-        db = np.maximum.reduceat(db, np.arange(0, db.shape[0], rows), axis=0)
-        db = np.maximum.reduceat(db, np.arange(0, db.shape[1], columns), axis=1)
+    dots = _room(ax, x, y)
     even = all(v.size < 3 or np.ptp(np.diff(v)) < 1e-3 * abs(np.diff(v)).max() for v in (x, y))
-    if even:
-        dx, dy = ((v[-1] - v[0]) / max(v.size - 1, 1) / 2 or 0.5 for v in (x, y))
-        extent = (x[0] - dx, x[-1] + dx, y[0] - dy, y[-1] + dy)
-        return ax.imshow(db, origin="lower", extent=extent, interpolation="nearest", **style)
-    middle_x = np.array([part.mean() for part in np.split(x, range(columns, x.size, columns))])
-    middle_y = np.array([part.mean() for part in np.split(y, range(rows, y.size, rows))])
-    return ax.pcolormesh(middle_x, middle_y, db, shading="nearest", rasterized=True, **style)
+    db, middle_y, middle_x, (rows, columns) = _reduced(db, y, x, (np.ptp(y) * dots, np.ptp(x) * dots))
+    if not even:
+        return ax.pcolormesh(middle_x, middle_y, db, shading="nearest", rasterized=True, **style)
+    dx, dy = ((v[-1] - v[0]) / max(v.size - 1, 1) or 1.0 for v in (x, y))
+    left, bottom = x[0] - dx / 2, y[0] - dy / 2
+    # the last block may reach beyond the image, whose own limits stay
+    extent = (left, left + db.shape[1] * columns * dx, bottom, bottom + db.shape[0] * rows * dy)
+    drawn = ax.imshow(db, origin="lower", extent=extent, interpolation="nearest", **style)
+    ax.set_xlim(left, left + x.size * dx)
+    ax.set_ylim(bottom, bottom + y.size * dy)
+    return drawn
+
+
+def _draw_sector(ax: Any, grid: Grid, origin: FloatArray, db: FloatArray, style: dict[str, Any]) -> Any:
+    x, y, _ = grid.coordinates().T
+    r, angle = grid.axes["r"], grid.axes["angle"]
+    dots = _room(ax, x, y)
+    room = (np.ptp(angle) * np.abs(r).max() * dots, np.ptp(r) * dots)
+    db, angle, r, _ = _reduced(db, angle, r, room)
+    east, north = (grid.centre[i] - origin[i] + np.outer(f(angle), r) for i, f in enumerate((np.cos, np.sin)))
+    return ax.pcolormesh(east, north, db, shading="nearest", rasterized=True, **style)

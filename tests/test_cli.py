@@ -77,7 +77,7 @@ def test_check_passes_and_fails(small, capsys):
     cases = {
         "non-finite first at ping 3, channel 1, sample 7": {"data": data},
         "not increasing first at ping 5": {"ping_time": time},
-        "jump near ping": {"tx": tx},
+        "first at ping 20": {"tx": tx},
         "below 1.1": {"bandwidth": 39e3},
         "above D/2": {"beam": pysas.Beam([0, 1, 0], 0.01, 1.0)},
     }
@@ -201,3 +201,68 @@ def test_default_grid_covers_what_the_geometry_hears(small):
     # every pixel within every ping's record: farthest corner from the farthest ping
     corner = np.hypot(square.axes["x"].max(), square.axes["y"].max())
     assert 2 * (5.0 + corner) / 1500 <= 399 / 40e3
+
+
+def test_raw_traces_with_nan_can_be_left_out(small, tmp_path, capsys):
+    """The image is that of the same echoes with those traces silent."""
+    raw = pysas.load(small / "raw.npz")
+    data, silent = raw.data.copy(), raw.data.copy()
+    data[7, 1, 100], silent[7, 1] = np.nan, 0
+    options = ["--x", "-1:1", "--y", "7:9", "--spacing", "0.05"]
+    for name, samples in (("nan", data), ("silent", silent)):
+        pysas.save(tmp_path / f"{name}.npz", raw.replace(data=samples))
+        code, _, err = run(
+            "image", tmp_path / f"{name}.npz", "-o", tmp_path / f"{name}_image.npz", "--nan", "mask", *options, capsys=capsys
+        )
+        assert code == 0 and ("1 of 80 traces left out" in err) == (name == "nan")
+    images = [pysas.load(tmp_path / f"{name}_image.npz").data for name in ("nan", "silent")]
+    assert np.array_equal(*images)
+    code, _, err = run("image", tmp_path / "nan.npz", "-o", tmp_path / "x.npz", *options, capsys=capsys)
+    assert code == 2 and "ping 7, channel 1" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--x", "-1:1", "--y", "7:9", "--spacing", "0"], "spacing=0"),
+        (["--x", "0.3:0.9", "--y", "7:9", "--spacing", "100"], "no multiple of it within 0.3 to 0.9"),
+        (["--x", "0.3:0.9", "--spacing", "100"], "no multiple of it within"),
+        (["-o", "nowhere/x.npz"], "no such folder"),
+        (["-o", "x.mat"], "expected .npz or .h5"),
+        (["--png", "nowhere/x.png"], "no such folder"),
+        (["--tol", "1e-9"], "tol=1e-09"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_the_work(small, tmp_path, monkeypatch, capsys, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(
+        "image", small / "raw.npz", *(arguments if "-o" in arguments else ["-o", "x.npz", *arguments]), capsys=capsys
+    )
+    assert code == 2 and text in err and "compressing" not in err and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_info_of_echoes_that_cannot_be_imaged(small, tmp_path, capsys):
+    raw = pysas.load(small / "raw.npz")
+    for name, changes, text in (
+        ("under", {"bandwidth": 39e3}, "expected at least 1.1"),
+        ("far", {"tx": raw.tx + 500}, "no plan"),
+    ):
+        changes |= {"rx": raw.rx + 500} if name == "far" else {}
+        pysas.save(tmp_path / f"{name}.npz", raw.replace(**changes))
+        code, out, _ = run("info", tmp_path / f"{name}.npz", capsys=capsys)
+        assert code == 0 and "40 pings x 2 channels" in out and text in out
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such pipes there")
+def test_a_reader_that_stops_reading_is_no_error(small):
+    code = "import sys; from pysas.cli import main; sys.exit(main(['info', sys.argv[1], '--plan']))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(small / "raw.npz")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    err = process.stderr.read()
+    process.stderr.close()
+    process.wait(60)
+    assert "error" not in err.lower() and "Traceback" not in err

@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.ndimage
 
 import pysas
 
@@ -53,6 +54,34 @@ def test_reduction_keeps_single_bright_pixels():
     grid = pysas.Grid.plane(np.arange(5000) * 0.01, np.arange(3) * 0.01)
     drawn = pysas.plot.quicklook(picture(grid)).axes[0].images[0].get_array()
     assert drawn.shape[1] <= 1600 and drawn.max() > -1e-6
+
+
+@pytest.mark.parametrize("n", [1000, 1500, 3100])
+def test_single_bright_pixels_reach_the_picture(n):
+    """As many spots in the drawn axes as there are points, whatever the image's size."""
+    grid = pysas.Grid.plane(np.arange(n) * 0.01, np.arange(n) * 0.01)
+    data = np.full(grid.shape, 1e-3, dtype=np.complex64)
+    places = np.linspace(0.1 * n, 0.9 * n, 9).astype(int) + np.array([0, 1, 3, 2, 5, 4, 0, 3, 1])
+    data[np.ix_(places, places)] = 1
+    figure = pysas.plot.quicklook(pysas.Image(data, grid, pysas.Report("test"), 100e3, 1500.0))
+    figure.canvas.draw()
+    box = figure.axes[0].get_window_extent()
+    dots = np.asarray(figure.canvas.buffer_rgba())[::-1, :, :3].astype(int).sum(axis=-1)
+    inside = dots[int(box.y0) + 5 : int(box.y1) - 5, int(box.x0) + 5 : int(box.x1) - 5]
+    spots, _ = scipy.ndimage.label(inside > 300)
+    assert spots.max() == 81
+
+
+def test_a_few_points_over_noise_leave_the_noise_dark():
+    """The 99.9th percentile is the noise's here, 60 dB below the points: noise at 0 dB would hide them."""
+    grid = pysas.Grid.plane(np.arange(200) * 0.1, np.arange(200) * 0.1)
+    data = np.full(grid.shape, 1e-3 + 0j)
+    data[[20, 100], [30, 150]] = 1
+    figure = pysas.plot.quicklook(pysas.Image(data, grid, pysas.Report("test"), 100e3, 1500.0), dynamic_range=40)
+    drawn = figure.axes[0].images[0].get_array()
+    drawn = np.asarray(drawn)
+    assert np.isclose(np.median(drawn), -40) and np.isclose(drawn.max(), 20)
+    assert "20 dB under the peak" in figure.axes[1].get_ylabel()
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch):

@@ -1,0 +1,110 @@
+"""What `pysas check` notices: each fault is put into a good survey, and only its own check may speak."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pysas
+from pysas.inspection import inspect
+
+FS, FC = 40e3, 100e3
+
+
+def survey(**changes: Any) -> pysas.Echoes:
+    """A swaying track of 60 pings, 3 receivers that turn with it, noise as data."""
+    rng = np.random.default_rng(3)
+    ping = np.arange(60.0)
+    tx = np.stack([0.15 * ping, 0.1 * np.sin(ping / 9), 0.05 * np.cos(ping / 13)], axis=1)
+    heading = 0.01 * np.sin(ping / 7)
+    arm = np.stack([np.cos(heading), np.sin(heading), np.zeros(60)], axis=1)
+    rx = tx[:, None] + np.array([0.1, 0.2, 0.3])[:, None] * arm[:, None]
+    data = (rng.standard_normal((60, 3, 200)) + 1j * rng.standard_normal((60, 3, 200))).astype(np.complex64)
+    fields: dict[str, Any] = {"data": data, "fs": FS, "fc": FC, "tx": tx, "rx": rx, "ping_time": 0.1 * ping}
+    fields |= {"pulse": pysas.LFM(FC, 30e3, 1e-3), "compressed": False} | changes
+    return pysas.Echoes(fields.pop("data"), **fields)
+
+
+def findings(echoes: pysas.Echoes) -> dict[str, tuple[str, str]]:
+    return {finding.name: (finding.state, finding.text) for finding in inspect(echoes) if finding.state != "ok"}
+
+
+def moved(name: str, index: Any, by: tuple[float, float, float]) -> pysas.Echoes:
+    changed = getattr(survey(), name).copy()
+    changed[index] += by
+    return survey(**{name: changed})
+
+
+def samples(index: Any, value: complex) -> pysas.Echoes:
+    data = survey().data.copy()
+    data[index] = value
+    return survey(data=data)
+
+
+def clipped() -> pysas.Echoes:
+    data = survey().data.copy()
+    data.real, data.imag = np.clip(data.real, -2, 2), np.clip(data.imag, -2, 2)
+    return survey(data=data)
+
+
+def missing_ping() -> pysas.Echoes:
+    """Pings 30 and 31 were not recorded: the track goes on smoothly."""
+    good = survey()
+    kept = np.delete(np.arange(60), [30, 31])
+    assert good.ping_time is not None
+    return survey(data=good.data[kept], tx=good.tx[kept], rx=good.rx[kept], ping_time=good.ping_time[kept])
+
+
+FAULTS: dict[str, tuple[pysas.Echoes, str, str, str]] = {
+    "not a number": (samples((4, 1, 7), np.nan), "finite samples", "FAIL", "ping 4, channel 1, sample 7"),
+    "infinite": (samples((9, 0, 0), np.inf), "finite samples", "FAIL", "ping 9, channel 0, sample 0"),
+    "dead channel": (samples((slice(None), 2), 0), "silent traces", "warn", "first at ping 0, channel 2; dead channels 2"),
+    "lost trace": (samples((5, 1), 0), "silent traces", "warn", "1 of 180, first at ping 5, channel 1"),
+    "clipped": (clipped(), "clipping", "warn", "largest value 2"),
+    "time stands still": (survey(ping_time=np.repeat(np.arange(30.0), 2)), "ping times", "FAIL", "ping 1"),
+    "sway of one ping": (moved("tx", 20, (0, 0.05, 0)), "track", "FAIL", "first at ping 20"),
+    "a step up": (moved("tx", slice(40, None), (0, 0, 0.05)), "track", "FAIL", "first at ping 40"),
+    "repeated position": (survey(tx=survey().tx[[*range(30), 29, *range(31, 60)]]), "track", "warn", "first at ping 30"),
+    "gap": (missing_ping(), "track", "warn", "before ping 30"),
+    "one receiver": (moved("rx", (20, 1), (0, 0.05, 0)), "receivers", "FAIL", "ping 20, channel 1"),
+    "pulse too long": (survey(pulse=pysas.LFM(FC, 3e4, 0.1)), "pulse", "FAIL", "longer than the record"),
+    "pulse beside the band": (survey(fc=115e3, bandwidth=3e4), "pulse", "FAIL", "beyond what fs 40000 Hz holds"),
+    "no pulse": (survey(pulse=None), "pulse", "FAIL", "cannot be compressed"),
+    "band": (survey(bandwidth=38e3), "range sampling", "FAIL", "below 1.1"),
+    "sparse": (survey(beam=pysas.Beam([0, 1, 0], 0.02, 1.0)), "along-track sampling", "FAIL", "above D/2"),
+}
+
+
+def test_a_good_survey_is_good() -> None:
+    assert findings(survey()) == {}
+    flat = survey()
+    assert findings(survey(data=flat.data[:, 0], rx=flat.rx[:, 0])) == {}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_is_found_where_it_is(fault: str) -> None:
+    echoes, name, state, text = FAULTS[fault]
+    found = findings(echoes)
+    assert found[name][0] == state and text in found[name][1]
+    # a moved transmitter is also one against its receivers; a faulty navigation point shows in the spacing too
+    assert found.keys() - {name} <= {"track", "receivers", "along-track sampling"}
+
+
+def test_silence_and_noise_without_a_finite_sample() -> None:
+    assert findings(samples(slice(None), 0))["finite samples"] == ("FAIL", "all samples are zero")
+    assert findings(samples(slice(None), np.nan))["finite samples"][0] == "FAIL"
+
+
+@pytest.mark.parametrize("pings", [1, 2, 3, 4])
+def test_short_surveys(pings: int) -> None:
+    good = survey()
+    assert good.ping_time is not None
+    some = survey(data=good.data[:pings], tx=good.tx[:pings], rx=good.rx[:pings], ping_time=good.ping_time[:pings])
+    assert findings(some) == {}
+
+
+@pytest.mark.parametrize("name", ["stripmap_perturbed", "circular"])
+def test_data_made_elsewhere_are_good(name: str, data_dir: Any) -> None:
+    assert findings(pysas.load(data_dir / f"{name}.npz")) == {}
