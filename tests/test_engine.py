@@ -1,0 +1,116 @@
+"""The engine's parts: coefficients against the band-limited sum, delays in long double, backends, the worker pool."""
+
+import threading
+
+import numpy as np
+import pytest
+
+import pysas
+from pysas import _pool
+from pysas.engine import _numba, backend_name, preparation
+
+
+@pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
+def test_coefficients_read_the_band_limited_trace(degree, rate, limit):
+    """sum_k X_k W_k exp(2j pi f_k t) directly, at random instants; bound theta^(d+1)/(2^d (d+1)!) at 0.375 fs."""
+    rng = np.random.default_rng(0)
+    n, n_fft = 120, 400
+    reader = preparation.interpolator(n, n_fft, n_fft * rate, degree, 0, 0.0, np.complex128)
+    f = np.fft.fftfreq(n_fft)
+    spectrum = (rng.standard_normal((3, n_fft)) + 1j * rng.standard_normal((3, n_fft))) * (np.abs(f) < 0.375)
+    traces = np.fft.ifft(spectrum)[:, :n]
+    out = np.empty((3, reader.intervals, degree + 1), dtype=np.complex128)
+    preparation.coefficients(traces, reader, out)
+    t = rng.uniform(0, n - 1, 500)
+    u = t * reader.rate
+    interval = np.floor(u).astype(int)
+    powers = (u - interval - 0.5)[:, None] ** np.arange(degree + 1)
+    read = np.sum(out[:, interval] * powers, axis=-1)
+    edge = np.clip((np.abs(f) - 1 / 2.2) / (0.5 - 1 / 2.2), 0, 1)
+    low_passed = np.fft.fft(traces, n_fft) * np.cos(np.pi / 2 * edge) ** 2
+    exact = low_passed @ np.exp(2j * np.pi * f[:, None] * t) / n_fft
+    assert np.linalg.norm(read - exact) < limit * np.linalg.norm(exact)
+
+
+def test_the_taper_leaves_what_pixels_need_alone():
+    reader = preparation.interpolator(300, 320, 640, 3, 60, 14.0, np.complex64)
+    assert reader.window is not None and reader.window.dtype == np.float32
+    assert np.all(reader.window[60:-60] == 1) and reader.window[0] < 1e-4 and np.all(np.diff(reader.window[:61]) >= 0)
+
+
+@pytest.mark.parametrize("kind", [_numba.MONOSTATIC, _numba.STOP_AND_HOP, _numba.MOVING])
+def test_delays_satisfy_their_equation(kind):
+    """c tau = |x - tx| + |x - rx - v tau| in long double, to 1e-16 of tau."""
+    rng = np.random.default_rng(1)
+    g = np.zeros(_numba.GEOMETRY)
+    g[0:3], g[3:6] = rng.uniform(-5, 5, (2, 3))
+    if kind == _numba.MONOSTATIC:
+        g[3:6] = g[0:3]
+    if kind == _numba.MOVING:
+        g[6:9] = rng.uniform(-20, 20, 3)
+    x = rng.uniform(-50, 50, (3, 200))
+    tau = np.empty(200)
+    _numba._delays(kind, g, 1500.0, x[0], x[1], x[2], 200, tau)
+    wide, tau = x.T.astype(np.longdouble), tau.astype(np.longdouble)
+    back = np.sqrt(np.sum((wide - g[3:6] - g[6:9] * tau[:, None]) ** 2, axis=1))
+    there = np.sqrt(np.sum((wide - g[0:3]) ** 2, axis=1))
+    assert np.max(np.abs((there + back) / 1500 - tau) / tau) < 1e-15
+
+
+def test_backend_choice(monkeypatch):
+    assert backend_name() == backend_name("numba") == "numba"
+    monkeypatch.setenv("PYSAS_BACKEND", "numba")
+    assert backend_name("auto") == "numba"
+    monkeypatch.setenv("PYSAS_BACKEND", "fast")
+    with pytest.raises(ValueError, match="PYSAS_BACKEND='fast'"):
+        backend_name()
+    with pytest.raises(ValueError, match="backend='cpp'"):
+        backend_name("cpp")
+
+
+def test_thread_setting(monkeypatch):
+    from pysas import _checks
+
+    monkeypatch.setenv("PYSAS_NUM_THREADS", "3")
+    assert _checks.threads(None) == 3 and _checks.threads(2) == 2
+    for text in ("0", "many", "-1"):
+        monkeypatch.setenv("PYSAS_NUM_THREADS", text)
+        with pytest.raises(ValueError, match="PYSAS_NUM_THREADS"):
+            _checks.threads(None)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_the_pool_does_every_task_once(threads):
+    done, ticks, lock = [], [], threading.Lock()
+
+    def task(i):
+        with lock:
+            done.append(i)
+
+    _pool.run(task, 57, threads, ticks.append)
+    assert sorted(done) == list(range(57)) and ticks[-1] == 57
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_pool_raises_one_exception_and_stops(threads):
+    done = []
+
+    def task(i):
+        if i == 5:
+            raise RuntimeError("task 5")
+        done.append(i)
+
+    with pytest.raises(RuntimeError, match="task 5"):
+        _pool.run(task, 10_000, threads)
+    assert len(done) < 5_000
+
+
+def test_an_exception_in_a_worker_is_one_python_exception(monkeypatch):
+    from scenes import PLANE, straight
+
+    def broken(*_):
+        raise ArithmeticError("injected")
+
+    monkeypatch.setattr("pysas.engine.summation.coefficients", broken)
+    with pytest.raises(ArithmeticError, match="injected"):
+        pysas.backproject(straight(), PLANE, threads=2)
