@@ -250,28 +250,28 @@ def _term_ns(block: int, degree: int, oversampling: float) -> float:
 
 
 def _choose_delay(scene: Scene, tol: float) -> tuple[int, float, dict[str, float]]:
-    """Block length and the distance from which its delay polynomial holds.
+    """Block length and the distance from which its delay polynomial holds; 0 where only exact delays keep tol.
 
     sqrt(r^2 + 2 r u s + s^2) has Taylor coefficients |a_n| <= 2/((2n - 1) r^(n-1)) (Legendre's generating function), so the
     polynomial through five Chebyshev nodes of |s| <= h is wrong by at most (2/9) h^5/(16 r^4), for each way. The float32
     offset from the block's centre, up to `turns` at its ends, rounds three times: rms 2^-24 turns/2 over the block.
     """
     wave = scene.fc / scene.c
-    best: tuple[int, float, dict[str, float]] | None = None
-    for block in (64, 48, 32, 16, 8):
+    best: tuple[int, float, dict[str, float]] = (0, 0.0, {})
+    for block in (64, 48, 32, 16):
         count = _even_split(scene.line_length, block)
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
         rounding = np.pi * turns * 2.0**-24 + 2.0**-22
+        if rounding > 3 * SHARE_PHASE * tol:
+            continue
         near = 2 * half
         if half > 0:
             scaled = 2 * np.pi * wave * 2 * 1.3 * (2 / 9) * half**5 / 16
             near = max(near, (scaled / (SHARE_PHASE * tol)) ** 0.25)
-        if best is None or rounding < best[2]["rounding"]:
-            best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * tol})
-        if rounding <= 3 * SHARE_PHASE * tol and near <= scene.nearest:
-            return best
-    assert best is not None
+        best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * tol})
+        if near <= scene.nearest:
+            break
     return best
 
 

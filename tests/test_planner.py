@@ -83,6 +83,18 @@ def test_errors_add_up_to_less_than_tol():
         assert 0.1 * tol < choices.predicted_error <= tol or choices.oversampling == 1.0
 
 
+@pytest.mark.parametrize("step", [0.005, 0.02, 0.16, 1.0])
+@pytest.mark.parametrize("tol", [1.33e-5, 1e-5, 3e-5, 1e-4])
+def test_coarse_pixels_do_not_round_tol_away(step, tol):
+    """A block's offset in float32 grows with the pixel: where it would cost more than tol, delays are exact instead."""
+    grid = pysas.Grid.plane(np.arange(-9, 10) * step, 20.0 + np.arange(20) * step)
+    echoes = straight()
+    image = pysas.backproject(echoes.replace(data=echoes.data.astype(np.complex64)), grid, tol)
+    assert image.report.predicted_error <= tol
+    exact, level = pysas.reference.exact(echoes, grid)
+    assert pysas.metrics.relative_error(image.data, exact, level) <= tol
+
+
 def test_a_record_the_grid_does_not_need_is_not_transformed():
     echoes = straight(samples=8000)
     choices = pysas.plan(echoes, PLANE, 1e-3).choices
