@@ -223,7 +223,7 @@ def _choose(scene: Scene, tol: float) -> Choices:
     pad = guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
     errors["wrap-round"] = SHARE_WRAP * tol if pad else 0.0
     n_fft = scipy.fft.next_fast_len(length + pad)
-    left = max(min(SHARE_INTERPOLATION * tol, tol - sum(errors.values())), 0.3 * tol)
+    left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
     best: tuple[float, int, int] | None = None
     for degree in THETA:
         rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))

@@ -32,6 +32,11 @@ _FLAGS = ("contract",)
 _FAST = {"contract", "nsz"}
 
 
+def _fma(builder, a, b, c):
+    """a b + c, one instruction where the machine has it."""
+    return builder.fadd(builder.fmul(a, b, flags=_FLAGS), c, flags=_FLAGS)
+
+
 @intrinsic
 def _polynomial(typingctx, coefficients, x):
     """sum_q coefficients[q] x^q, unrolled as Horner in x^2 over pairs: half the latency of plain Horner, which bounds it."""
@@ -40,14 +45,11 @@ def _polynomial(typingctx, coefficients, x):
         x = args[1]
         values = cgutils.unpack_tuple(builder, args[0], signature.args[0].count)
 
-        def fma(a, b, c):
-            return builder.fadd(builder.fmul(a, b, flags=_FLAGS), c, flags=_FLAGS)
-
         square = builder.fmul(x, x)
         total = None
         for q in range((len(values) - 1) // 2 * 2, -1, -2):
-            pair = fma(values[q + 1], x, values[q]) if q + 1 < len(values) else values[q]
-            total = pair if total is None else fma(total, square, pair)
+            pair = _fma(builder, values[q + 1], x, values[q]) if q + 1 < len(values) else values[q]
+            total = pair if total is None else _fma(builder, total, square, pair)
         return total
 
     return x(coefficients, x), codegen
@@ -87,9 +89,6 @@ def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, 
             mask = ir.Constant(ir.VectorType(word, 4), pattern)
             return builder.shuffle_vector(value, ir.Constant(kind, ir.Undefined), mask)
 
-        def fma(a, b, c):
-            return builder.fadd(builder.fmul(a, b, flags=_FLAGS), c, flags=_FLAGS)
-
         place = builder.add(builder.mul(pixel, const(8)), origin)
         halves = [load(acc, place, quad), load(acc, builder.add(place, const(4)), quad)]
         for slot in range(SLOTS):
@@ -101,11 +100,11 @@ def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, 
                 square = builder.insert_element(ir.Constant(quad, ir.Undefined), square, ir.Constant(word, 0))
                 square = spread(square, quad, [0, 0, 0, 0])
                 for q in range(count - 2, -1, -1):
-                    w = fma(w, square, load(rows, builder.add(row, const(4 * q)), quad))
+                    w = _fma(builder, w, square, load(rows, builder.add(row, const(4 * q)), quad))
             twice = builder.mul(at, const(2))
             for half, factors in enumerate((cc, ss)):
                 factor = spread(load(factors, twice, double), double, [0, 0, 1, 1])
-                halves[half] = fma(w, factor, halves[half])
+                halves[half] = _fma(builder, w, factor, halves[half])
         for half, value in enumerate(halves):
             pointer = builder.bitcast(builder.gep(acc, [builder.add(place, const(4 * half))]), ir.PointerType(quad))
             builder.store(value, pointer).align = size
