@@ -1,11 +1,13 @@
-"""Build of the optional C++ extension pysas.engine._core; everything else about the package is in pyproject.toml.
+"""Build of the optional C++ parts: the extension pysas.engine._core and the C library; everything else is in pyproject.toml.
 
-Where the extension does not compile the package installs without it and runs on Numba. With PYSAS_WERROR=1 in the
-environment warnings are errors and a failed build fails the installation, so that a build that must have the extension
-cannot lose it in silence.
+One `build_ext` compiles the kernels once for each instruction set, with that set's flags, and links them into both. Where
+the C++ does not compile the package installs without it and runs on Numba. With PYSAS_WERROR=1 in the environment warnings
+are errors and a failed build fails the installation, so that a build that must have the extension cannot lose it in silence.
 """
 
 import os
+import platform
+import shutil
 import sys
 from pathlib import Path
 
@@ -13,21 +15,36 @@ from pybind11.setup_helpers import Pybind11Extension, build_ext
 from setuptools import setup
 
 STRICT = os.environ.get("PYSAS_WERROR") == "1"
+WINDOWS = sys.platform == "win32"
+X86 = platform.machine().lower() in ("x86_64", "amd64", "i386", "i686")
 
-if sys.platform == "win32":
-    FLAGS = ["/O2", "/W4"] + ["/WX"] * STRICT
+if WINDOWS:
+    FLAGS = ["/O2", "/W4", "/std:c++17", "/EHsc"] + ["/WX"] * STRICT
+    SETS = {"avx2": ["/arch:AVX2"], "avx512": ["/arch:AVX512"]}
+    LIBRARY = "pysas.dll"
 else:
-    FLAGS = ["-O3", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
+    # contraction off: every fused multiply-add is written as one, so that compilers cannot make results differ
+    FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
+    # GCC 12 warns of its own intrinsics' undefined operands
+    quiet = ["-Wno-uninitialized", "-Wno-maybe-uninitialized"]
+    SETS = {
+        "avx2": ["-mavx2", "-mfma"],
+        "avx512": ["-mavx512f", "-mavx512dq", "-mavx512bw", "-mavx512vl", "-mavx2", "-mfma", *quiet],
+    }
+    LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
+
+CORE = sorted(str(path) for path in Path("csrc/core").glob("*.cpp"))
+MACROS = [(f"PYSAS_HAVE_{name.upper()}", "1") for name in SETS if X86]
 
 
 class OptionalBuild(build_ext):
-    """build_ext whose every failure leaves a package without the extension and one line that says so."""
+    """build_ext whose every failure leaves a package without C++ and one line that says so."""
 
     def finalize_options(self) -> None:
         super().finalize_options()
         # a kept build folder, or source tree, must not hand out an extension made with another compiler or other flags
         self.force = True
-        self.folders = [self.build_lib, *(["."] if self.inplace else [])]
+        self.folders = [Path(self.build_lib), *([Path(".")] if self.inplace else [])]
 
     def run(self) -> None:
         """Build; what fails before any extension is reached (no compiler found) comes out here."""
@@ -38,16 +55,39 @@ class OptionalBuild(build_ext):
 
     def build_extension(self, extension: Pybind11Extension) -> None:
         try:
+            core = self._objects(CORE, MACROS, [])
+            for name in ("baseline", *(SETS if X86 else ())):
+                core += self._objects([f"csrc/isa/{name}.cpp"], [], SETS.get(name, []))
+            self._library(core)
+            extension.extra_objects = core
             super().build_extension(extension)
         except Exception as error:
             self._give_up(error)
 
+    def _objects(self, sources: list[str], macros: list[tuple[str, str]], flags: list[str]) -> list[str]:
+        include = ["csrc", "csrc/include"]
+        return self.compiler.compile(
+            sources, output_dir=self.build_temp, macros=[*macros, ("PYSAS_BUILD", "1")], include_dirs=include,
+            extra_postargs=[*FLAGS, *flags],
+        )  # fmt: skip
+
+    def _library(self, objects: list[str]) -> None:
+        """The C library and its header, beside the package's modules."""
+        threads = [] if WINDOWS else ["-pthread"]
+        built = Path(self.build_temp, LIBRARY)
+        self.compiler.link_shared_object(objects, str(built), extra_postargs=threads, target_lang="c++")
+        for folder in self.folders:
+            for source, place in ((built, "lib"), (Path("csrc/include/pysas.h"), "include")):
+                (folder / "pysas" / place).mkdir(parents=True, exist_ok=True)
+                shutil.copy(source, folder / "pysas" / place)
+
     def _give_up(self, error: Exception) -> None:
         if STRICT:
             raise error
-        for extension in self.extensions:
-            for folder in self.folders:
-                Path(folder, self.get_ext_filename(extension.name)).unlink(missing_ok=True)
+        for folder in self.folders:
+            for extension in self.extensions:
+                (folder / self.get_ext_filename(extension.name)).unlink(missing_ok=True)
+            (folder / "pysas" / "lib" / LIBRARY).unlink(missing_ok=True)
         reason = " ".join(str(error).split())
         if len(reason) > 160:  # a whole command line: its program and how it ended say enough
             reason = f"{reason[:60]} ... {reason[-60:]}"
@@ -58,10 +98,11 @@ setup(
     ext_modules=[
         Pybind11Extension(
             "pysas.engine._core",
-            sources=["csrc/bind/module.cpp", "csrc/core/cpu.cpp"],
+            sources=["csrc/bind/module.cpp"],
             include_dirs=["csrc"],
-            depends=["csrc/core/cpu.hpp"],
+            depends=[str(path) for path in Path("csrc").rglob("*.*pp")] + [str(path) for path in Path("csrc").rglob("*.inl")],
             extra_compile_args=FLAGS,
+            extra_link_args=[] if WINDOWS else ["-pthread"],
             cxx_std=17,
             optional=not STRICT,
         )

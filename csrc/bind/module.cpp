@@ -1,11 +1,25 @@
 // The Python face of the C++ core: pysas.engine._core. Bindings only make views, call the core and turn errors into
 // exceptions; pysas/engine/_core.pyi is the list of what stands here, and a test compares the two.
 
+#include <pybind11/complex.h>
+#include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
 
-#include "core/cpu.hpp"
+#include <complex>
+#include <new>
+#include <optional>
+
+#include "core/dispatch.hpp"
+#include "core/errors.hpp"
+#include "core/filters.hpp"
+#include "core/summation.hpp"
+
+namespace py = pybind11;
 
 namespace {
+
+using namespace pysas;
 
 #define PYSAS_TEXT_OF(x) #x
 #define PYSAS_TEXT(x) PYSAS_TEXT_OF(x)
@@ -22,12 +36,153 @@ const char* compiler() {
 #endif
 }
 
+template <typename T, int N>
+View<T, N> view(const py::array& array) {
+    if (array.ndim() != N || !array.dtype().is(py::dtype::of<std::remove_const_t<T>>())) {
+        throw py::type_error("array of the wrong dtype or number of axes");
+    }
+    View<T, N> out;
+    out.data = const_cast<T*>(static_cast<const T*>(array.data()));
+    for (int axis = 0; axis < N; ++axis) {
+        out.shape[axis] = array.shape(axis);
+        out.stride[axis] = array.strides(axis) / array.itemsize();
+    }
+    return out;
+}
+
+template <typename T>
+const T* pointer(const std::optional<py::array_t<T>>& array) {
+    return array ? array->data() : nullptr;
+}
+
+// Progress and Ctrl-C: runs in the calling thread, which does not hold the GIL.
+Tick ticker(const py::object& tick) {
+    return [&tick](std::int64_t done) {
+        const py::gil_scoped_acquire gil;
+        if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+        if (!tick.is_none()) tick(done);
+        return true;
+    };
+}
+
+template <typename T>
+using Array = py::array_t<T, py::array::c_style>;
+
+py::tuple design_filter(double band, int degree, int phases, int step, double error, int most, bool low_pass) {
+    const Filter filter = design(band, degree, phases, step, error, most, low_pass);
+    py::array_t<double> weight({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
+    py::array_t<std::int64_t> first(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
+    return py::make_tuple(weight, first, filter.error);
+}
+
+py::array_t<double> trace_peaks(const py::array& data, int threads, const py::object& tick) {
+    py::array_t<double> out({data.shape(0), data.shape(1)});
+    double* to = out.mutable_data();
+    const Tick check = ticker(tick);
+    const auto call = [&](auto kind) {
+        const auto traces = view<const decltype(kind), 3>(data);
+        const py::gil_scoped_release gil;
+        peaks(traces, to, threads, check);
+    };
+    if (data.itemsize() == 8)
+        call(std::complex<float>());
+    else
+        call(std::complex<double>());
+    return out;
+}
+
+void prepare_batch(const py::array& data, const Array<std::int64_t>& order, const Array<std::int64_t>& start,
+                   const std::optional<py::array_t<std::complex<double>>>& weights, double scale,
+                   const Array<double>& weight, const Array<std::int64_t>& first, int step, std::int64_t length,
+                   const py::array& table, int threads, const std::string& isa, const py::object& tick) {
+    Filter filter;
+    filter.phases = static_cast<int>(weight.shape(0));
+    filter.taps = static_cast<int>(weight.shape(1));
+    filter.degree = static_cast<int>(weight.shape(2)) - 1;
+    filter.step = step;
+    filter.weight.assign(weight.data(), weight.data() + weight.size());
+    filter.first.assign(first.data(), first.data() + first.size());
+    const Kernels& kernels = kernels_for(isa);
+    const Tick check = ticker(tick);
+    const auto call = [&](auto sample, auto real) {
+        using Sample = decltype(sample);
+        using Real = decltype(real);
+        const auto to = view<Real, 3>(table);
+        const Batch<Sample> batch{view<const Sample, 3>(data), order.data(), start.data(), pointer(weights),
+                                  order.size(),                length,       scale};
+        const py::gil_scoped_release gil;
+        prepare(kernels, batch, filter, to.data, to.stride[1], threads, check);
+    };
+    if (data.itemsize() == 8)
+        call(std::complex<float>(), float());
+    else if (table.itemsize() == 4)
+        call(std::complex<double>(), float());
+    else
+        call(std::complex<double>(), double());
+}
+
+std::int64_t add_batch(const py::array& table, int degree, const std::vector<double>& sine,
+                       const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
+                       int kind, const Array<double>& nodes, const Array<double>& fit,
+                       const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
+                       const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
+                       int count, const py::array& image, int threads, const std::string& isa, const py::object& tick) {
+    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 7 * sizeof(double),
+                  "rows of the geometry and the model are read as these structs");
+    const Kernels& kernels = kernels_for(isa);
+    const Tick check = ticker(tick);
+    const auto call = [&](auto real, auto pixel) {
+        using Real = decltype(real);
+        const auto tables = view<const Real, 3>(table);
+        Terms<Real> terms{};
+        terms.table = tables.data;
+        terms.trace_stride = tables.stride[0];
+        terms.plane_stride = tables.stride[1];
+        terms.degree = degree;
+        terms.trig = static_cast<int>(sine.size());
+        std::copy(sine.begin(), sine.end(), terms.sine);
+        std::copy(cosine.begin(), cosine.end(), terms.cosine);
+        terms.traces = reinterpret_cast<const Trace*>(geometry.data());
+        terms.n_trace = geometry.shape(0);
+        terms.model = *reinterpret_cast<const Model*>(model.data());
+        terms.kind = static_cast<Kind>(kind);
+        terms.nodes.count = static_cast<int>(nodes.size());
+        for (int j = 0; j < terms.nodes.count; ++j) {
+            terms.nodes.at[j] = nodes.at(j);
+            for (int q = 0; q < terms.nodes.count; ++q) terms.nodes.fit[q][j] = fit.at(q, j);
+        }
+        const auto to = view<decltype(pixel), 2>(image);
+        const Frame frame{pointer(first), pointer(step), pointer(points),
+                          mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
+                          to.shape[0],    to.shape[1],   count};
+        const py::gil_scoped_release gil;
+        return add(kernels, terms, frame, to, threads, check);
+    };
+    if (table.itemsize() == 8) return call(double(), std::complex<double>());
+    if (image.itemsize() == 8) return call(float(), std::complex<float>());
+    return call(float(), std::complex<double>());
+}
+
+void translate(std::exception_ptr pointer) {
+    try {
+        if (pointer) std::rethrow_exception(pointer);
+    } catch (const Error& error) {
+        PyErr_SetString(error.code == Code::argument ? PyExc_ValueError : PyExc_RuntimeError, error.what());
+    }
+}
+
 }  // namespace
 
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Compiled part of the engine.";
+    py::register_exception_translator(&translate);
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
-    m.def(
-        "isa", [] { return pysas::name_of(pysas::detect()); },
-        "Best instruction set this machine offers to the kernels: baseline, avx2 or avx512.");
+    m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
+    m.def("isa", [](const std::string& name) { return kernels_for(name).name; }, "The instruction set that `name` stands for.");
+    m.def("plane_stride", &plane_stride, "Reals from one plane of a table to the next.");
+    m.def("intervals", &intervals_of, "Intervals of a table over `length` samples.");
+    m.def("design", &design_filter, "Filter weights (phase, tap, power), first taps and measured error.");
+    m.def("peaks", &trace_peaks, "Largest real or imaginary part of every trace; not finite where the trace is not.");
+    m.def("prepare", &prepare_batch, "Fill the tables of a batch of traces.");
+    m.def("add", &add_batch, "Add a batch's terms to an image; returns how many.");
 }

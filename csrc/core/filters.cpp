@@ -1,0 +1,140 @@
+// The kernel g(time) is a sinc under a Kaiser window, or the impulse response of W cut off; each filter tap's coefficients
+// are those of the polynomial through g's values at Chebyshev nodes of the interval. Sums of taps then read every in-band
+// component as its own Chebyshev interpolant, which is within a factor two of the best polynomial of the degree.
+
+#include "core/filters.hpp"
+
+#include <cmath>
+#include <complex>
+
+namespace pysas {
+namespace {
+
+constexpr double pi = 3.14159265358979323846;
+
+double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(pi * x) / (pi * x); }
+
+// Modified Bessel function I0 by its power series, which converges for all arguments used here.
+double bessel(double x) {
+    double term = 1, sum = 1;
+    for (int k = 1; k < 500 && term > 1e-17 * sum; ++k) {
+        term *= (x / (2 * k)) * (x / (2 * k));
+        sum += term;
+    }
+    return sum;
+}
+
+double low_pass_at(double f) {
+    const double low = 1 / 2.2, edge = (std::abs(f) - low) / (0.5 - low);
+    if (edge <= 0) return 1;
+    const double c = std::cos(pi / 2 * (edge < 1 ? edge : 1));
+    return c * c;
+}
+
+// Impulse response of W: a raised cosine between 1/2.2 and 1/2.
+double low_pass_response(double time) {
+    const double low = 1 / 2.2, sum = 0.5 + low, width = 0.5 - low, x = 2 * width * time;
+    const double bell = std::abs(1 - x * x) < 1e-9 ? pi / 4 : std::cos(pi * width * time) / (1 - x * x);
+    return sum * sinc(sum * time) * bell;
+}
+
+// From values at the degree + 1 Chebyshev nodes of [-1/2, 1/2] to coefficients of 1, t, t^2, ...
+std::vector<double> node_places(int degree) {
+    std::vector<double> at(static_cast<std::size_t>(degree) + 1);
+    for (int j = 0; j <= degree; ++j) at[static_cast<std::size_t>(j)] = -0.5 * std::cos(pi * (2 * j + 1) / (2 * (degree + 1)));
+    return at;
+}
+
+void monomials(const std::vector<double>& at, std::vector<double>& values) {
+    const auto n = at.size();
+    for (std::size_t level = 1; level < n; ++level) {  // Newton's divided differences
+        for (std::size_t j = n - 1; j >= level; --j) values[j] = (values[j] - values[j - 1]) / (at[j] - at[j - level]);
+    }
+    for (std::size_t j = n - 1; j-- > 0;) {
+        for (std::size_t q = j; q + 1 < n; ++q) values[q] -= at[j] * values[q + 1];
+    }
+}
+
+double measure(const Filter& filter, double band, bool low_pass) {
+    const int steps = low_pass ? 2 * filter.taps : 16, places = 2 * filter.degree + 3;
+    const double end = low_pass ? 0.5 : band;
+    double worst = 0;
+    for (int phase = 0; phase < filter.phases; ++phase) {
+        const auto ph = static_cast<std::size_t>(phase);
+        const double middle = (phase + 0.5) * filter.step / filter.phases;
+        for (int i = 0; i <= steps; ++i) {
+            const double f = end * i / steps;  // the kernel is real: -f is as wrong as f
+            std::vector<std::complex<double>> response(static_cast<std::size_t>(filter.degree) + 1);
+            for (int tap = 0; tap < filter.taps; ++tap) {
+                const auto turn = std::polar(1.0, 2 * pi * f * (static_cast<double>(filter.first[ph]) + tap - middle));
+                for (int q = 0; q <= filter.degree; ++q) {
+                    const auto place = (ph * static_cast<std::size_t>(filter.taps) + static_cast<std::size_t>(tap)) *
+                                           (static_cast<std::size_t>(filter.degree) + 1) +
+                                       static_cast<std::size_t>(q);
+                    response[static_cast<std::size_t>(q)] += filter.weight[place] * turn;
+                }
+            }
+            for (int j = 0; j <= places; ++j) {
+                const double t = static_cast<double>(j) / places - 0.5;
+                std::complex<double> value = 0;
+                for (std::size_t q = response.size(); q-- > 0;) value = value * t + response[q];
+                const auto wanted = std::polar(low_pass ? low_pass_at(f) : 1.0, 2 * pi * f * t / filter.rate());
+                worst = std::max(worst, std::abs(value - wanted));
+            }
+        }
+    }
+    return worst;
+}
+
+Filter make(double band, int degree, int phases, int step, int taps, bool low_pass) {
+    Filter filter;
+    filter.degree = degree;
+    filter.phases = phases;
+    filter.step = step;
+    filter.taps = taps;
+    const double half = taps / 2.0;
+    const double shape = 2 * pi * half * (0.5 - band);
+    const double beta = shape > pi ? std::sqrt(shape * shape - pi * pi) : 0.0;
+    const double norm = bessel(beta);
+    const auto kernel = [&](double time) {
+        const double x = time / half;
+        if (std::abs(x) >= 1) return 0.0;
+        if (low_pass) return low_pass_response(time);
+        return sinc(time) * bessel(beta * std::sqrt(1 - x * x)) / norm;
+    };
+    const auto at = node_places(degree);
+    for (int phase = 0; phase < phases; ++phase) {
+        const double middle = (phase + 0.5) * step / phases;
+        const auto first = static_cast<std::int64_t>(std::floor(middle)) - taps / 2 + 1;
+        filter.first.push_back(first);
+        for (int tap = 0; tap < taps; ++tap) {
+            std::vector<double> values(at.size());
+            for (std::size_t j = 0; j < at.size(); ++j) {
+                values[j] = kernel(middle + at[j] * step / phases - static_cast<double>(first + tap));
+            }
+            monomials(at, values);
+            filter.weight.insert(filter.weight.end(), values.begin(), values.end());
+        }
+    }
+    filter.error = measure(filter, band, low_pass);
+    return filter;
+}
+
+}  // namespace
+
+Filter design(double band, int degree, int phases, int step, double error, int most, bool low_pass) {
+    // twice the error of an endless filter cannot be mended by more taps: stop where doubling gains nothing
+    int taps = low_pass ? 64 : 8;
+    Filter best = make(band, degree, phases, step, taps, low_pass);
+    while (best.error > error && taps < most) {
+        taps = low_pass ? taps * 3 / 2 / 2 * 2 : taps + 4;
+        if (taps > most) taps = most / 2 * 2;
+        Filter longer = make(band, degree, phases, step, taps, low_pass);
+        const bool settled = taps > 24 && longer.error > 0.98 * best.error && longer.error < 1.02 * best.error;
+        best = std::move(longer);
+        if (settled) break;
+    }
+    return best;
+}
+
+}  // namespace pysas

@@ -1,0 +1,207 @@
+#include "core/summation.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+
+namespace pysas {
+namespace {
+
+template <typename Real>
+void run_filter(const Kernels& kernels, const FilterJob<Real>& job) {
+    if constexpr (sizeof(Real) == 4)
+        kernels.filter_single(job);
+    else
+        kernels.filter_double(job);
+}
+
+template <typename Real>
+void run_sum(const Kernels& kernels, TileJob<Real>& job) {
+    if constexpr (sizeof(Real) == 4)
+        kernels.sum_single(job);
+    else
+        kernels.sum_double(job);
+}
+
+}  // namespace
+
+std::int64_t intervals_of(std::int64_t length, double rate) {
+    return static_cast<std::int64_t>(std::ceil(static_cast<double>(length - 1) * rate - 1e-9)) + 1;
+}
+
+std::int64_t plane_stride(std::int64_t intervals, int degree, std::size_t real) {
+    const auto page = static_cast<std::int64_t>(4096 / real), line = static_cast<std::int64_t>(64 / real);
+    const std::int64_t apart = page / (2 * (degree + 1)) / line * line;
+    const std::int64_t needed = intervals + plane_slack;
+    const std::int64_t pages = (needed - apart + page - 1) / page;
+    return std::max<std::int64_t>(pages, 0) * page + apart;
+}
+
+template <typename Real, typename Sample>
+void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& filter, Real* table, std::int64_t stride,
+             int threads, const Tick& tick) {
+    const std::int64_t n_sample = batch.data.shape[2], channels = batch.data.shape[1];
+    const std::vector<Real> weight(filter.weight.begin(), filter.weight.end());
+    const std::int64_t intervals = intervals_of(batch.length, filter.rate());
+    const int planes = 2 * (filter.degree + 1);
+    // taps reach before the first and behind the last sample kept; vectors run on to a multiple of their length
+    const std::int64_t before = (filter.taps + 1) / 2 * 2, behind = filter.taps + 2 * plane_slack;
+    const std::int64_t part = (before + batch.length + behind) / filter.step + 1;
+    constexpr std::int64_t at_once = 4;
+    run(
+        (batch.count + at_once - 1) / at_once, threads,
+        [&](std::int64_t task) {
+            std::vector<Real> samples(static_cast<std::size_t>(2 * filter.step * part));
+            FilterJob<Real> job{};
+            for (int i = 0; i < filter.step; ++i) {
+                job.re[i] = samples.data() + 2 * i * part;
+                job.im[i] = job.re[i] + part;
+            }
+            job.origin = before;
+            job.weight = weight.data();
+            job.first = filter.first.data();
+            job.phases = filter.phases;
+            job.step = filter.step;
+            job.taps = filter.taps;
+            job.degree = filter.degree;
+            job.intervals = intervals;
+            job.plane_stride = stride;
+            for (std::int64_t i = task * at_once; i < std::min(batch.count, (task + 1) * at_once); ++i) {
+                std::fill(samples.begin(), samples.end(), Real(0));
+                const std::int64_t start = batch.start[i];
+                // all that the record has of what the taps reach
+                const std::int64_t from = std::max<std::int64_t>(start - before, 0);
+                const std::int64_t to = std::min(start + batch.length + filter.taps, n_sample);
+                const Sample* trace = &batch.data(batch.order[i] / channels, batch.order[i] % channels, 0);
+                const std::int64_t apart = batch.data.stride[2];
+                const std::complex<double> factor =
+                    (batch.weights ? batch.weights[i] : std::complex<double>(1.0)) / batch.scale;
+                // in double: one over a float's smallest amplitude is no float
+                const double a = factor.real(), b = factor.imag();
+                for (std::int64_t n = from; n < to; ++n) {
+                    const Sample s = trace[n * apart];
+                    const std::int64_t place = n - start + before;
+                    const std::int64_t half = filter.step == 2 ? place >> 1 : place;
+                    Real* re = samples.data() + (filter.step == 2 ? 2 * (place & 1) * part : 0);
+                    re[half] = static_cast<Real>(s.real() * a - s.imag() * b);
+                    re[part + half] = static_cast<Real>(s.real() * b + s.imag() * a);
+                }
+                job.out = table + i * planes * stride;
+                for (int plane = 0; plane < planes; ++plane) {
+                    std::fill(job.out + plane * stride + intervals, job.out + (plane + 1) * stride, Real(0));
+                }
+                run_filter(kernels, job);
+            }
+        },
+        tick);
+}
+
+template <typename Real, typename Pixel>
+std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& frame, const View<Pixel, 2>& image,
+                 int threads, const Tick& tick) {
+    const bool straight = frame.first != nullptr;
+    const std::int64_t rows = straight ? tile_rows : 1, columns = straight ? frame.count : tile_rows * frame.count;
+    const std::int64_t down = (frame.height + rows - 1) / rows, across = (frame.width + columns - 1) / columns;
+    std::vector<std::int64_t> counted(static_cast<std::size_t>(down * across));
+    run(
+        down * across, threads,
+        [&](std::int64_t task) {
+            const std::int64_t top = task / across * rows, left = task % across * columns;
+            const std::int64_t bottom = std::min(top + rows, frame.height), right = std::min(left + columns, frame.width);
+            const std::int64_t pixels = (bottom - top) * (right - left);
+            alignas(64) Real re[tile_rows * block], im[tile_rows * block];
+            double lines[tile_rows * 6];
+            std::vector<double> tail;
+            std::uint8_t active[tile_rows];
+            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, frame.count, re, im, 0};
+            if (straight) {
+                job.rows = static_cast<int>(bottom - top);
+                for (std::int64_t r = 0; r < job.rows; ++r) {
+                    for (std::int64_t axis = 0; axis < 3; ++axis) {
+                        const double step = frame.step[3 * (top + r) + axis];
+                        lines[6 * r + axis] = frame.first[3 * (top + r) + axis] + static_cast<double>(left) * step;
+                        lines[6 * r + 3 + axis] = step;
+                    }
+                }
+                job.lines = lines;
+            } else {
+                job.rows = static_cast<int>((pixels + frame.count - 1) / frame.count);
+                job.points = frame.points + 3 * left;
+                if (job.rows * frame.count != pixels) {  // the last tile: repeat its last point
+                    tail.assign(job.points, job.points + 3 * pixels);
+                    while (static_cast<std::int64_t>(tail.size()) < 3 * job.rows * frame.count) {
+                        for (int axis = 0; axis < 3; ++axis) tail.push_back(tail[static_cast<std::size_t>(3 * (pixels - 1) + axis)]);
+                    }
+                    job.points = tail.data();
+                }
+            }
+            bool any = false;
+            const auto row_of = [&](std::int64_t r, std::int64_t& line, std::int64_t& begin, std::int64_t& end) {
+                line = straight ? top + r : 0;
+                begin = straight ? left : left + r * frame.count;
+                end = std::min(begin + frame.count, right);
+            };
+            for (int r = 0; r < job.rows; ++r) {
+                std::int64_t line, begin, end;
+                row_of(r, line, begin, end);
+                const std::uint8_t* wanted = frame.mask ? frame.mask + line * frame.width : nullptr;
+                active[r] = !wanted || std::any_of(wanted + begin, wanted + end, [](std::uint8_t m) { return m != 0; });
+                any = any || active[r];
+            }
+            if (!any) return;
+            run_sum(kernels, job);
+            counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * frame.count);
+            using value = typename Pixel::value_type;
+            for (int r = 0; r < job.rows; ++r) {
+                std::int64_t line, begin, end;
+                row_of(r, line, begin, end);
+                Pixel* to = &image(line, begin);
+                const Real *a = re + r * block, *b = im + r * block;
+                for (std::int64_t m = 0; m < end - begin; ++m) {
+                    to[m * image.stride[1]] += Pixel(static_cast<value>(a[m]), static_cast<value>(b[m]));
+                }
+            }
+        },
+        tick);
+    std::int64_t sum = 0;
+    for (const std::int64_t n : counted) sum += n;
+    return sum;
+}
+
+template <typename Sample>
+void peaks(const View<const Sample, 3>& data, double* out, int threads, const Tick& tick) {
+    using value = typename Sample::value_type;
+    run(
+        data.shape[0], threads,
+        [&](std::int64_t ping) {
+            for (std::int64_t channel = 0; channel < data.shape[1]; ++channel) {
+                const Sample* trace = &data(ping, channel, 0);
+                value most = 0;
+                bool finite = true;
+                for (std::int64_t n = 0; n < data.shape[2]; ++n) {
+                    const Sample s = trace[n * data.stride[2]];
+                    const value a = std::abs(s.real()), b = std::abs(s.imag());
+                    const value larger = a > b ? a : b;
+                    finite &= a <= std::numeric_limits<value>::max() && b <= std::numeric_limits<value>::max();
+                    most = larger > most ? larger : most;
+                }
+                out[ping * data.shape[1] + channel] = finite ? static_cast<double>(most) : HUGE_VAL;
+            }
+        },
+        tick);
+}
+
+using Single = std::complex<float>;
+using Double = std::complex<double>;
+
+template void prepare(const Kernels&, const Batch<Single>&, const Filter&, float*, std::int64_t, int, const Tick&);
+template void prepare(const Kernels&, const Batch<Double>&, const Filter&, float*, std::int64_t, int, const Tick&);
+template void prepare(const Kernels&, const Batch<Double>&, const Filter&, double*, std::int64_t, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Single, 2>&, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Double, 2>&, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<double>&, const Frame&, const View<Double, 2>&, int, const Tick&);
+template void peaks(const View<const Single, 3>&, double*, int, const Tick&);
+template void peaks(const View<const Double, 3>&, double*, int, const Tick&);
+
+}  // namespace pysas

@@ -1,0 +1,56 @@
+// The sum over a batch of traces, in two steps on worker threads: their tables from samples, then every tile of the image.
+#pragma once
+
+#include <complex>
+#include <cstdint>
+#include <vector>
+
+#include "core/filters.hpp"
+#include "core/kernels.hpp"
+#include "core/threads.hpp"
+#include "core/views.hpp"
+
+namespace pysas {
+
+// Which samples of which traces become tables.
+template <typename Sample>
+struct Batch {
+    View<const Sample, 3> data;    // ping, channel, sample
+    const std::int64_t* order;     // (count) flat ping-channel numbers
+    const std::int64_t* start;     // (count) first sample kept; those before the record's first are zero
+    const std::complex<double>* weights;  // (count), or null
+    std::int64_t count;
+    std::int64_t length;  // samples kept
+    double scale;         // samples are divided by it
+};
+
+// Reals between planes: room for `intervals` and a window's overhang, and planes that do not share cache sets.
+std::int64_t plane_stride(std::int64_t intervals, int degree, std::size_t real);
+
+std::int64_t intervals_of(std::int64_t length, double rate);
+
+// Fill the tables of a batch, (count, 2 (degree + 1), stride).
+template <typename Real, typename Sample>
+void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& filter, Real* table, std::int64_t stride,
+             int threads, const Tick& tick);
+
+// The image seen as lines of pixels: straight and evenly spaced, or a list of points (one line).
+struct Frame {
+    const double* first;        // (height, 3) first pixels of the lines, or null
+    const double* step;         // (height, 3)
+    const double* points;       // (width, 3) where there are no lines
+    const std::uint8_t* mask;   // (height, width) pixels wanted, or null
+    std::int64_t height, width;
+    int count;  // pixels of a block
+};
+
+// Add a batch's terms to `image` (line, pixel); returns how many there were.
+template <typename Real, typename Pixel>
+std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& frame, const View<Pixel, 2>& image,
+                 int threads, const Tick& tick);
+
+// Largest |real| or |imaginary| part of each trace, (ping, channel); not finite where the trace is not.
+template <typename Sample>
+void peaks(const View<const Sample, 3>& data, double* out, int threads, const Tick& tick);
+
+}  // namespace pysas

@@ -1,0 +1,349 @@
+// The sum over traces for one tile of pixels. Included inside a namespace of one instruction set, after its vector types
+// Float and Double.
+//
+// A line of up to `block` pixels and a trace: the delay is a polynomial through exact delays at Chebyshev nodes (float64),
+// carried into the type of the arithmetic as an offset from the block's centre. Per vector of pixels: offset in intervals,
+// interval and position in it, phase in turns, the interval's polynomial, one complex multiply-add.
+
+#include "kernels/delay.inl"
+#include "kernels/interpolation.inl"
+#include "kernels/phase.inl"
+
+template <typename Real>
+constexpr Real magic() {  // adding and subtracting it rounds to the nearest integer, which stands in the low bits
+    return sizeof(Real) == 4 ? Real(12582912.0) : Real(6755399441055744.0);
+}
+
+// Delay polynomials of a tile's lines for one trace.
+template <class V, int N>
+struct Polynomials {
+    static constexpr int subs = block / V::n;
+    using real = typename V::real;
+    alignas(64) real coefficient[N - 1][tile_rows];  // of x^1 ..., in intervals
+    alignas(64) real turns[tile_rows];               // of the carrier at the block's centre
+    alignas(64) real shift[subs][tile_rows];         // intervals from `base` to the block's centre
+    alignas(64) std::int32_t base[subs][tile_rows];  // first interval that a vector of pixels touches
+};
+
+// Pixels of a tile at a block's nodes, and where its vectors of pixels begin and end.
+template <class V, int N>
+struct Places {
+    static constexpr int subs = block / V::n;
+    alignas(64) double x[N][tile_rows], y[N][tile_rows], z[N][tile_rows];
+    double edge[subs + 1];
+    int used;
+};
+
+// Fill `out`; returns the most intervals that a vector of pixels spans.
+template <class V, int N, Kind K>
+double polynomials(const Terms<typename V::real>& job, const Trace& trace, const Places<V, N>& at, int rows,
+                   Polynomials<V, N>& out) {
+    using D = Double;
+    using vec = D::vec;
+    const double scale = job.model.fs * job.model.rate;
+    // half an interval: positions are counted from the intervals' middles
+    const double offset = (trace.t0 * job.model.fs + trace.crop) * job.model.rate + 0.5;
+    const double width = at.used > 0 ? at.edge[1] - at.edge[0] : 0.0;
+    vec span = D::set(0.0);
+    for (int r = 0; r < rows; r += D::n) {
+        vec tau[N];
+        for (int j = 0; j < N; ++j) tau[j] = delay<K>(trace, job.model.c, D::load(at.x[j] + r), D::load(at.y[j] + r), D::load(at.z[j] + r));
+        const vec centre = tau[N / 2];
+        for (int j = 0; j < N; ++j) tau[j] = D::sub(tau[j], centre);
+        vec c[N - 1];
+        vec bend = D::set(0.0);
+        for (int q = 1; q < N; ++q) {
+            vec sum = D::mul(D::set(scale * job.nodes.fit[q][0]), tau[0]);
+            for (int j = 1; j < N; ++j) {
+                if (j != N / 2) sum = D::fma(D::set(scale * job.nodes.fit[q][j]), tau[j], sum);
+            }
+            c[q - 1] = sum;
+            D::store(out.coefficient[q - 1] + r, sum);
+            bend = D::fma(D::set(q * (q - 1.0)), D::abs(sum), bend);
+        }
+        const vec turns = D::mul(D::set(job.model.fc), centre);
+        D::store(out.turns + r, D::sub(turns, D::floor(D::add(turns, D::set(0.5)))));
+        const vec u = D::fma(centre, D::set(scale), D::set(-offset));
+        const vec low = D::floor(u);
+        const vec part = D::sub(u, low);
+        // a function whose second derivative is at most `bend` leaves the chord by at most width^2/8 of it
+        const vec slack = D::fma(bend, D::set(width * width / 8), D::set(1e-3));
+        const auto value = [&](double x) {
+            vec sum = c[N - 2];
+            for (int q = N - 3; q >= 0; --q) sum = D::fma(sum, D::set(x), c[q]);
+            return D::fma(sum, D::set(x), part);
+        };
+        vec left = value(at.edge[0]);
+        for (int s = 0; s < at.used; ++s) {
+            const vec right = value(at.edge[s + 1]);
+            const vec first = D::floor(D::sub(D::min(left, right), slack));
+            span = D::max(span, D::sub(D::add(D::max(left, right), slack), first));
+            D::store(out.shift[s] + r, D::sub(part, first));
+            D::store_index(out.base[s] + r, D::max(D::add(low, first), D::set(0.0)));
+            left = right;
+        }
+    }
+    return D::largest(span);
+}
+
+// Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1].
+template <class V, int N, int D, int T, int W>
+void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
+               const Phase<V, T> phase, const typename V::real* x, const std::uint8_t* take) {
+    using real = typename V::real;
+    using vec = typename V::vec;
+    const Terms<real>& job = *tile.terms;
+    // copies: behind a pointer they would be read again after every store
+    const std::int64_t stride = job.plane_stride;
+    const int rows = tile.rows;
+    real *const all_re = tile.re, *const all_im = tile.im;
+    const vec ratio = V::set(static_cast<real>(job.model.fc / (job.model.fs * job.model.rate)));
+    const vec round = V::set(magic<real>());
+    const int used = (tile.count + V::n - 1) / V::n;
+    for (int r = 0; r < rows; ++r) {
+        if (!take[r]) continue;
+        vec c[N - 1];
+        for (int q = 0; q < N - 1; ++q) c[q] = V::set(poly.coefficient[q][r]);
+        const vec turns = V::set(poly.turns[r]);
+        // two short loops: in one, the chain from delay to sum is so long that the processor's scheduler, which holds two
+        // vectors' instructions, waits for it
+        alignas(64) real intervals[block], position[block], cycles[block];
+        for (int s = 0; s < used; ++s) {
+            const vec at = V::load(x + s * V::n);
+            vec du = c[N - 2];
+            for (int q = N - 3; q >= 0; --q) du = V::fma(du, at, c[q]);
+            du = V::mul(du, at);
+            const vec u = V::add(du, V::set(poly.shift[s][r]));
+            const vec k = V::add(u, round);
+            V::store(intervals + s * V::n, k);
+            V::store(position + s * V::n, V::sub(u, V::sub(k, round)));
+            const vec ph = V::fma(ratio, du, turns);
+            V::store(cycles + s * V::n, V::sub(ph, V::sub(V::add(ph, round), round)));
+        }
+        for (int s = 0; s < used; ++s) {
+            const vec k = V::load(intervals + s * V::n);
+            vec sine, cosine, re, im;
+            phase(V::load(cycles + s * V::n), sine, cosine);
+            read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k), V::load(position + s * V::n), re, im);
+            real* to_re = all_re + r * block + s * V::n;
+            real* to_im = all_im + r * block + s * V::n;
+            V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
+            V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+        }
+    }
+}
+
+// Add one trace's terms of line `r` from each pixel's own delay; terms outside the record or the beam weigh nothing.
+template <class V, int D, int T, Kind K>
+std::int64_t add_exact(const TileJob<typename V::real>& tile, const Trace& trace, const typename V::real* table,
+                       const Phase<V, T>& phase, int r) {
+    using real = typename V::real;
+    using W = Double;
+    const Terms<real>& job = *tile.terms;
+    const Model& model = job.model;
+    alignas(64) double x[3][block];
+    for (int m = 0; m < block; ++m) {
+        const int pixel = m < tile.count ? m : tile.count - 1;
+        for (int axis = 0; axis < 3; ++axis) {
+            x[axis][m] = tile.lines ? tile.lines[6 * r + axis] + pixel * tile.lines[6 * r + 3 + axis]
+                                    : tile.points[3 * (r * tile.count + pixel) + axis];
+        }
+    }
+    alignas(64) real position[block], turns[block], weight[block];
+    alignas(64) std::int32_t interval[block];
+    W::vec counted = W::set(0.0);
+    const W::vec half = W::set(0.5);
+    for (int m = 0; m < block; m += W::n) {
+        const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
+        const W::vec tau = delay<K>(trace, model.c, px, py, pz);
+        const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
+        W::vec counts = W::mul(W::one_where_le(W::set(0.0), index), W::one_where_le(index, W::set(model.last)));
+        if (model.cos_beam > -1.0) {
+            const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])), dz = W::sub(pz, W::set(trace.tx[2]));
+            const W::vec distance = W::sqrt(W::fma(dx, dx, W::fma(dy, dy, W::mul(dz, dz))));
+            const W::vec along = W::fma(dx, W::set(trace.boresight[0]), W::fma(dy, W::set(trace.boresight[1]), W::mul(dz, W::set(trace.boresight[2]))));
+            counts = W::mul(counts, W::one_where_le(W::mul(W::set(model.cos_beam), distance), along));
+        }
+        // where a term does not count the index becomes the first kept sample's, which is in the table
+        const W::vec u = W::mul(W::mul(counts, W::sub(index, W::set(trace.crop))), W::set(model.rate));
+        const W::vec low = W::floor(u);
+        W::store(position + m, W::sub(W::sub(u, low), half));
+        W::store_index(interval + m, low);
+        const W::vec cycles = W::mul(W::set(model.fc), tau);
+        W::store(turns + m, W::sub(cycles, W::floor(W::add(cycles, half))));
+        W::store(weight + m, counts);
+        if (m + W::n <= tile.count) {
+            counted = W::add(counted, counts);
+        } else {
+            alignas(64) double each[W::n];
+            W::store(each, counts);
+            for (int i = 0; i < W::n; ++i) each[i] = m + i < tile.count ? each[i] : 0.0;
+            counted = W::add(counted, W::load(each));
+        }
+    }
+    for (int m = 0; m < tile.count; m += V::n) {
+        typename V::vec sine, cosine, re, im;
+        phase(V::load(turns + m), sine, cosine);
+        read<V, D, 0>(table, job.plane_stride, V::load_index(interval + m), V::load(position + m), re, im);
+        const auto w = V::load(weight + m);
+        re = V::mul(re, w);
+        im = V::mul(im, w);
+        real* to_re = tile.re + r * block + m;
+        real* to_im = tile.im + r * block + m;
+        V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
+        V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+    }
+    return static_cast<std::int64_t>(W::total(counted));
+}
+
+// Centre and radius of a sphere that holds `count` points.
+inline double sphere(const double* points, int count, double centre[3]) {
+    for (int axis = 0; axis < 3; ++axis) {
+        double low = points[axis], high = low;
+        for (int i = 1; i < count; ++i) {
+            const double p = points[3 * i + axis];
+            low = p < low ? p : low;
+            high = p > high ? p : high;
+        }
+        centre[axis] = (low + high) / 2;
+    }
+    double most = 0;
+    for (int i = 0; i < count; ++i) {
+        const double d = norm(points[3 * i] - centre[0], points[3 * i + 1] - centre[1], points[3 * i + 2] - centre[2]);
+        most = d > most ? d : most;
+    }
+    return most * (1 + 1e-12);
+}
+
+template <class V, int N, int D, int T, Kind K>
+void sum_traces(TileJob<typename V::real>& tile) {
+    using real = typename V::real;
+    const Terms<real>& job = *tile.terms;
+    const int rows = tile.rows, count = tile.count;
+    const bool straight = tile.lines != nullptr;
+    const Phase<V, T> phase(job.sine, job.cosine);
+
+    alignas(64) real x[block];
+    for (int m = 0; m < block; ++m) x[m] = static_cast<real>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
+    Places<V, N> at;
+    at.used = (count + V::n - 1) / V::n;
+    for (int s = 0; s <= at.used; ++s) at.edge[s] = count > 1 && s * V::n < count ? 2.0 * s * V::n / (count - 1) - 1 : 1.0;
+    double row_centre[tile_rows][3], row_radius[tile_rows];
+    double corners[2 * tile_rows][3];
+    double centre[3], radius;
+    if (straight) {
+        for (int r = 0; r < tile_rows; ++r) {
+            const double* line = tile.lines + 6 * (r < rows ? r : rows - 1);  // rows beyond the last repeat it
+            double reach2 = 0;
+            for (int axis = 0; axis < 3; ++axis) {
+                const double half = line[3 + axis] * (count - 1) / 2, middle = line[axis] + half;
+                double* to = axis == 0 ? &at.x[0][r] : axis == 1 ? &at.y[0][r] : &at.z[0][r];
+                for (int j = 0; j < N; ++j) to[j * tile_rows] = middle + job.nodes.at[j] * half;
+                row_centre[r][axis] = middle;
+                corners[2 * r][axis] = middle - half;
+                corners[2 * r + 1][axis] = middle + half;
+                reach2 += half * half;
+            }
+            row_radius[r] = ::sqrt(reach2);
+        }
+        radius = sphere(corners[0], 2 * rows, centre);
+    } else {
+        radius = sphere(tile.points, rows * count, centre);
+    }
+
+    for (int i = 0; i < tile_rows * block; ++i) tile.re[i] = tile.im[i] = 0;
+    Polynomials<V, N> poly;
+    std::int64_t evaluated = 0;
+    std::uint8_t take[tile_rows];
+    int active = 0;
+    for (int r = 0; r < rows; ++r) active += tile.active[r] != 0;
+    for (std::int64_t i = 0; i < job.n_trace; ++i) {
+        const Trace& trace = job.traces[i];
+        const real* table = job.table + i * job.trace_stride;
+        double nearest;
+        const Reach where = reach(trace, job.model, centre, radius, nearest);
+        if (where == Reach::outside) continue;
+        if (!straight) {
+            for (int r = 0; r < rows; ++r) {
+                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, trace, table, phase, r);
+            }
+            continue;
+        }
+        int lines = active;
+        for (int r = 0; r < rows; ++r) take[r] = tile.active[r];
+        if (where == Reach::across || nearest < job.model.near) {
+            for (int r = 0; r < rows; ++r) {
+                if (!take[r]) continue;
+                const Reach here = reach(trace, job.model, row_centre[r], row_radius[r], nearest);
+                if (here == Reach::inside && nearest >= job.model.near) continue;
+                if (here != Reach::outside) evaluated += add_exact<V, D, T, K>(tile, trace, table, phase, r);
+                take[r] = 0;
+                --lines;
+            }
+            if (lines == 0) continue;
+        }
+        evaluated += static_cast<std::int64_t>(lines) * count;
+        const double span = polynomials<V, N, K>(job, trace, at, rows, poly);
+        if (V::windows >= 1 && span < V::n - 0.5)
+            add_lines<V, N, D, T, (V::windows >= 1 ? 1 : 0)>(tile, table, poly, phase, x, take);
+        else if (V::windows >= 2 && span < 2 * V::n - 0.5)
+            add_lines<V, N, D, T, (V::windows >= 2 ? 2 : 0)>(tile, table, poly, phase, x, take);
+        else if (V::windows >= 4 && span < 4 * V::n - 0.5)
+            add_lines<V, N, D, T, (V::windows >= 4 ? 4 : 0)>(tile, table, poly, phase, x, take);
+        else
+            add_lines<V, N, D, T, 0>(tile, table, poly, phase, x, take);
+    }
+    tile.evaluated = evaluated;
+}
+
+template <class V, int N, int D, int T>
+void sum_kind(TileJob<typename V::real>& tile) {
+    switch (tile.terms->kind) {
+        case Kind::monostatic:
+            return sum_traces<V, N, D, T, Kind::monostatic>(tile);
+        case Kind::stop_and_hop:
+            return sum_traces<V, N, D, T, Kind::stop_and_hop>(tile);
+        case Kind::moving:
+            return sum_traces<V, N, D, T, Kind::moving>(tile);
+    }
+}
+
+template <class V, int N, int D, int Few, int Many>
+void sum_trig(TileJob<typename V::real>& tile) {
+    if (tile.terms->trig <= Few)
+        sum_kind<V, N, D, Few>(tile);
+    else
+        sum_kind<V, N, D, Many>(tile);
+}
+
+// Polynomial lengths by type: few enough to compile, dense enough to lose little.
+template <class V>
+void sum_tile(TileJob<typename V::real>& tile) {
+    if constexpr (sizeof(typename V::real) == 4) {
+        switch (tile.terms->degree) {
+            case 1:
+                return sum_trig<V, 5, 1, 5, 7>(tile);
+            case 2:
+                return sum_trig<V, 5, 2, 5, 7>(tile);
+            case 3:
+                return sum_trig<V, 5, 3, 5, 7>(tile);
+            case 4:
+                return sum_trig<V, 5, 4, 5, 7>(tile);
+            case 5:
+                return sum_trig<V, 5, 5, 5, 7>(tile);
+            default:
+                return sum_trig<V, 5, 7, 5, 7>(tile);
+        }
+    } else {
+        switch (tile.terms->degree) {
+            case 3:
+                return sum_trig<V, 7, 3, 9, 11>(tile);
+            case 5:
+                return sum_trig<V, 7, 5, 9, 11>(tile);
+            case 7:
+                return sum_trig<V, 7, 7, 9, 11>(tile);
+            default:
+                return sum_trig<V, 7, 9, 9, 11>(tile);
+        }
+    }
+}

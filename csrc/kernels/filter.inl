@@ -1,0 +1,59 @@
+// From samples to a trace's table: every coefficient of every interval is a short sum over samples.
+
+template <class V, int D>
+void filter_degree(const FilterJob<typename V::real>& job) {
+    using real = typename V::real;
+    using vec = typename V::vec;
+    constexpr int planes = 2 * (D + 1);
+    for (int phase = 0; phase < job.phases; ++phase) {
+        const real* weight = job.weight + static_cast<std::int64_t>(phase) * job.taps * (D + 1);
+        const std::int64_t count = (job.intervals - phase + job.phases - 1) / job.phases;
+        const std::int64_t start = job.origin + job.first[phase];
+        for (std::int64_t m = 0; m < count; m += V::n) {
+            vec sum[planes];
+            for (int i = 0; i < planes; ++i) sum[i] = V::set(0);
+            for (int tap = 0; tap < job.taps; ++tap) {
+                const std::int64_t place = start + tap;
+                const int part = job.step == 2 ? static_cast<int>(place & 1) : 0;
+                const std::int64_t from = (job.step == 2 ? place >> 1 : place) + m;
+                const vec re = V::load(job.re[part] + from), im = V::load(job.im[part] + from);
+                for (int q = 0; q <= D; ++q) {
+                    const vec w = V::set(weight[tap * (D + 1) + q]);
+                    sum[2 * q] = V::fma(re, w, sum[2 * q]);
+                    sum[2 * q + 1] = V::fma(im, w, sum[2 * q + 1]);
+                }
+            }
+            const int kept = static_cast<int>(count - m < V::n ? count - m : V::n);
+            for (int i = 0; i < planes; ++i) {
+                real* to = job.out + i * job.plane_stride + m * job.phases + phase;
+                if (job.phases == 1 && kept == V::n) {
+                    V::store(to, sum[i]);
+                    continue;
+                }
+                alignas(64) real each[V::n];
+                V::store(each, sum[i]);
+                for (int j = 0; j < kept; ++j) to[j * job.phases] = each[j];
+            }
+        }
+    }
+}
+
+template <class V>
+void filter(const FilterJob<typename V::real>& job) {
+    switch (job.degree) {
+        case 1:
+            return filter_degree<V, 1>(job);
+        case 2:
+            return filter_degree<V, 2>(job);
+        case 3:
+            return filter_degree<V, 3>(job);
+        case 4:
+            return filter_degree<V, 4>(job);
+        case 5:
+            return filter_degree<V, 5>(job);
+        case 7:
+            return filter_degree<V, 7>(job);
+        default:
+            return filter_degree<V, 9>(job);
+    }
+}

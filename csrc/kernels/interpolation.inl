@@ -1,0 +1,20 @@
+// Reading a trace's table: the polynomial of an interval, its coefficients picked from a window in registers (W vectors
+// wide, `planes` at its first interval) or gathered from anywhere (W = 0).
+
+template <class V, int D, int W>
+void read(const typename V::real* planes, std::int64_t stride, typename V::idx k, typename V::vec t, typename V::vec& re,
+          typename V::vec& im) {
+    const auto coefficient = [&](int plane) {
+        const typename V::real* p = planes + plane * stride;
+        if constexpr (W == 0)
+            return V::gather(p, k);
+        else
+            return V::template pick<W>(p, k);
+    };
+    re = coefficient(2 * D);
+    im = coefficient(2 * D + 1);
+    for (int q = D - 1; q >= 0; --q) {
+        re = V::fma(re, t, coefficient(2 * q));
+        im = V::fma(im, t, coefficient(2 * q + 1));
+    }
+}
