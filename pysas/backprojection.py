@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pysas import _checks, engine, planner
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
-from pysas.engine import BLOCK, preparation, summation
+from pysas.engine import BLOCK, native, preparation, summation
 from pysas.engine.summation import Survey, Tile
 from pysas.grid import Grid
 from pysas.image import Image, Report
@@ -105,55 +105,56 @@ def execute(
     image[...] = 0
     notes = [] if scene.heard.any() else [scene.why_silent()]
 
-    peak, bad = summation.largest(samples, plan.threads)
-    used = scene.heard.copy()
-    if bad:
+    cpp = plan.backend == "cpp"
+    peaks = (native.peaks if cpp else summation.peaks)(samples, plan.threads)
+    finite = np.isfinite(peaks)
+    used = scene.heard
+    if not finite.all():
+        bad = np.argwhere(~finite)
         if plan.nan == "raise":
             ping, channel = bad[0]
             raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
-        channels = samples.shape[1] if samples.ndim == 3 else 1
-        used[[ping * channels + channel for ping, channel in bad]] = False
+        used = used & finite.reshape(-1)
         notes.append(f"{len(bad)} of {scene.traces} traces left out: non-finite samples")
-    scale = float(2.0 ** np.frexp(peak)[1]) if 0 < peak < np.inf else 1.0
+    peak = float(np.max(peaks, where=finite, initial=0.0))
+    scale = float(2.0 ** np.frexp(peak)[1]) if peak > 0 else 1.0
     if scene.weights is not None:
-        used &= scene.weights != 0
+        used = used & (scene.weights != 0)
         largest = float(np.max(np.abs(scene.weights[used]), initial=0.0))
         if largest > 0:
             scale *= float(2.0 ** np.frexp(largest)[1])
     order = np.flatnonzero(used)
 
-    geometry = scene.geometry[order]
-    start = scene.first[order] - 1 - choices.margin if choices.taper else np.zeros(order.size, dtype=np.int64)
-    geometry[:, 13] = start
-    weights = None if scene.weights is None else scene.weights[order]
-    near = choices.near if choices.block else np.inf
-    model = np.array(
-        [scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near], dtype=np.float64
-    )
-    real = np.dtype(choices.precision)
-    reader = preparation.interpolator(
-        choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta,
-        np.complex64 if real == np.float32 else np.complex128,
-    )  # fmt: skip
-    frame = _Frame(grid, scene.origin, choices.block)
     totals = summation.Totals(0.0, 0.0, 0)
+    isa = engine.isa(plan.backend)
     if order.size:
-        flat = image.reshape(frame.shape) if image.flags.c_contiguous else np.zeros(frame.shape, dtype=plan.dtype)
-        totals = summation.accumulate(
-            samples, order, Survey(geometry, start, weights, scene.kind, model), reader, scale, frame.tiles(), frame.locate,
-            frame.straight, frame.count, planner.trigonometry(choices.trigonometry)[0], real, choices.batch, flat,
-            plan.threads, progress,
-        )  # fmt: skip
-        flat *= scale
-        if not image.flags.c_contiguous:
-            image[...] = flat.reshape(grid.shape)
+        frame, reader = plan.frame, plan.reader
+        survey = _survey(plan, order)
+        trigonometry = planner.trigonometry(choices.trigonometry)[0]
+        flat = _as_lines(image, frame.shape)
+        target = np.zeros(frame.shape, dtype=plan.dtype) if flat is None else flat
+        real = np.dtype(choices.precision)
+        if cpp:
+            totals = native.accumulate(
+                samples, order, survey, reader, choices.length, scale, frame, trigonometry, real, choices.batch, target,
+                plan.threads, isa, progress,
+            )  # fmt: skip
+        else:
+            assert isinstance(reader, preparation.Interpolator)
+            totals = summation.accumulate(
+                samples, order, survey, reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count, trigonometry,
+                real, choices.batch, target, plan.threads, progress,
+            )  # fmt: skip
+        target *= scale
+        if flat is None:
+            image[...] = target.reshape(grid.shape)
         if grid.mask is not None:
             image[~grid.mask] = 0
     if progress is not None:
         progress(1.0)
     everything = scene.traces * grid.size
     report = Report(
-        method="backprojection", tol=plan.tol, backend=plan.backend, isa=engine.processor(), threads=plan.threads,
+        method="backprojection", tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
         prepare_seconds=totals.prepare_seconds, sum_seconds=totals.sum_seconds, terms=totals.terms,
         share_left_out=1 - totals.terms / everything, predicted_error=choices.predicted_error,
         choices=planner.as_report(choices), notes=tuple(notes),
@@ -161,7 +162,39 @@ def execute(
     return Image(image, grid, report, scene.fc, scene.c)
 
 
-class _Frame:
+def _as_lines(image: ComplexArray, shape: tuple[int, int]) -> ComplexArray | None:
+    """`image` as (line, pixel) without a copy, or None where its strides do not allow it."""
+    if image.flags.c_contiguous:
+        return image.reshape(shape)
+    return image if image.shape == shape and all(step % image.itemsize == 0 for step in image.strides) else None
+
+
+def _survey(plan: planner.Plan, order: npt.NDArray[np.int64]) -> Survey:
+    """The geometry of traces `order` as the kernels take it."""
+    scene, choices = plan.scene, plan.choices
+    geometry = scene.geometry[order]
+    start = np.zeros(order.size, dtype=np.int64)
+    if choices.taper or choices.taps:
+        start = scene.first[order] - 1 - choices.margin
+    geometry[:, 13] = start
+    near = choices.near if choices.block else np.inf
+    model = np.array([scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near])
+    return Survey(geometry, start, None if scene.weights is None else scene.weights[order], scene.kind, model)
+
+
+def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator | native.Filter:
+    """What makes coefficients from samples, as chosen."""
+    if choices.taps:
+        return native.design(
+            band, choices.degree, choices.phases, choices.step, choices.errors["interpolation"], choices.taps
+        )
+    return preparation.interpolator(
+        choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta,
+        np.complex64 if choices.precision == "float32" else np.complex128,
+    )  # fmt: skip
+
+
+class Frame:
     """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels."""
 
     def __init__(self, grid: Grid, origin: FloatArray, block: int) -> None:
@@ -176,6 +209,10 @@ class _Frame:
             self.shape = (1, grid.size)
             self.count = min(BLOCK, grid.size)
         self.mask = None if grid.mask is None else grid.mask.reshape(self.shape)
+
+    def points(self, begin: int, end: int) -> FloatArray:
+        """Coordinates of pixels begin ... end - 1 of a grid without straight lines."""
+        return np.ascontiguousarray(self.grid.coordinates(np.arange(begin, end)) - self.origin)
 
     def tiles(self) -> list[Tile]:
         """All tiles, near neighbours first."""

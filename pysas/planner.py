@@ -8,6 +8,8 @@ the same geometry. `print(plan)` and `plan.explain()` say what was chosen and wh
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from pysas import _checks, engine
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
-from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, summation
+from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, preparation, summation
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
@@ -59,9 +61,17 @@ SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 ROWS = 32
 BATCH_BYTES = 24 * 2**20
-# cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
+# Numba's cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
 # coefficient of the preparation; a term with its own exact delay
 TERM_NS, PAIR_NS, CACHE_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 0.02, 9.6, 8.0
+# that of C++: lanes, then ns of a term, of one of its coefficients, of a term with its own exact delay, by instruction set
+NATIVE_NS = {
+    "avx512": (16, 0.35, 0.06, 2.5),
+    "avx2": (8, 0.6, 0.085, 4.0),
+    "baseline": (8, 2.6, 0.3, 8.0),
+}
+FILTER_NS = 0.05  # a tap of a filter's coefficient
+LONGEST_FILTER = 400
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,8 @@ class Choices:
     length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
     taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
     pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
-    prepared at a time; errors : bound of each contribution.
+    prepared at a time; errors : bound of each contribution; phases, step, taps : of the filter that makes the coefficients
+    (oversampling = phases/step), or 0 where transforms make them.
     """
 
     precision: str
@@ -90,6 +101,9 @@ class Choices:
     batch: int
     delay: str
     errors: dict[str, float]
+    phases: int = 0
+    step: int = 0
+    taps: int = 0
 
     @property
     def predicted_error(self) -> float:
@@ -119,6 +133,7 @@ def guard(error: float) -> int:
     return GUARD[min(max(index, 0), len(GUARD) - 1)]
 
 
+@functools.cache
 def trigonometry(terms: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], float]:
     """Polynomials in turns^2 of sin(2 pi t)/t (`terms`) and cos(2 pi t) (`terms` + 1) on |t| <= 1/2, and their error."""
 
@@ -194,7 +209,7 @@ def plan(
     tol = _checks.number("tol", tol, positive=True)
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
-    return Plan(echoes, grid, tol, scene, _choose(scene, tol), _checks.threads(threads), name, nan)
+    return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), _checks.threads(threads), name, nan)
 
 
 def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
@@ -206,69 +221,131 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
         raise ValueError(f"tol={tol:g}: {echoes.dtype} data over {scene.farthest:.4g} m reach {least:.3g} at best{hint}")
 
 
-def _choose(scene: Scene, tol: float) -> Choices:
+def _choose(scene: Scene, tol: float, backend: str = "numba") -> Choices:
     """The cheapest settings whose bounds sum to at most tol."""
     single = scene.dtype == np.complex64 or tol >= 1e-5 * (1 - 1e-9)
-    block, near, errors = _choose_delay(scene, tol) if single and scene.straight else (0, 0.0, {})
     precision = "float32" if single else "float64"
+    nodes = native.NODES[precision] if backend == "cpp" else NODES
+    polynomials = scene.straight and (single or backend == "cpp")
+    block, near, errors = _choose_delay(scene, tol, nodes, single) if polynomials else (0, 0.0, {})
     if single and not block:
         errors["rounding"] = 2.0**-22
     least = 2.0**-23 if single else 1e-14
-    for terms in range(4, 13):
+    for terms in native.TRIGONOMETRY[precision] if backend == "cpp" else range(4, 13):
         _, wrong = trigonometry(terms)
         if wrong <= max(SHARE_PHASE * tol, least):
             break
     errors["sine and cosine"] = wrong
+    kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
+    shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
+    if backend == "cpp":
+        found = _choose_filter(scene, tol, errors, shared)
+        if found is not None:
+            return found
+    return _choose_transform(scene, tol, errors, shared, backend)
+
+
+def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices | None:
+    """A short filter, where no pixel needs samples that the low-pass W at a record's end has changed; else None."""
+    heard = scene.heard
+    away = guard(SHARE_WRAP * tol)
+    if not heard.any() or np.min(scene.first[heard]) < away or np.max(scene.last[heard]) > scene.n_sample - 1 - away:
+        return None
+    length = int(np.max(scene.last[heard] - scene.first[heard])) + 4
+    errors = errors | {"record's ends": SHARE_WRAP * tol}
+    left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
+    best: tuple[float, int, native.Filter] | None = None
+    for degree in native.DEGREES[shared["precision"]]:
+        for phases, step in native.RATES:
+            # a polynomial's own error, before any filter is made: near-minimax for this phase advance
+            theta = np.pi * scene.band * step / phases
+            if theta ** (degree + 1) / (math.factorial(degree + 1) * 2**degree) > 1.5 * left:
+                continue
+            filter = native.design(scene.band, degree, phases, step, left, LONGEST_FILTER)
+            if filter.error > left:
+                continue
+            term = _term_ns(shared["block"], degree, phases / step, "cpp", scene, shared["precision"])
+            coefficients = (degree + 1) * length * phases / step
+            cost = scene.traces * (scene.pixels * term + coefficients * (1 + FILTER_NS * filter.taps))
+            if best is None or cost < best[0]:
+                best = (cost, phases, filter)
+            break
+    if best is None:
+        return None
+    _, phases, filter = best
+    errors["interpolation"] = filter.error
+    size = length * filter.rate * (filter.degree + 1) * (8 if shared["precision"] == "float32" else 16)
+    return Choices(
+        degree=filter.degree, oversampling=filter.rate, n_fft=0, n_fine=0, length=length, margin=0, taper=0, beta=0.0,
+        batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=phases, step=filter.step, taps=filter.taps,
+        **shared,
+    )  # fmt: skip
+
+
+def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any], backend: str) -> Choices:
+    """Coefficients by transforms: any record, any tolerance."""
     length, margin, taper, beta = _crop(scene, tol)
     pad = guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
     errors["wrap-round"] = SHARE_WRAP * tol if pad else 0.0
     n_fft = scipy.fft.next_fast_len(length + pad)
     left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
+    precision = shared["precision"]
     best: tuple[float, int, int] | None = None
     for degree in THETA:
+        if backend == "cpp" and degree not in native.DEGREES[precision]:
+            continue
         rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = _term_ns(block, degree, n_fine / n_fft)
+        term = _term_ns(shared["block"], degree, n_fine / n_fft, backend, scene, precision)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
     assert best is not None
     _, degree, n_fine = best
     errors["interpolation"] = interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
-    size = int(length * n_fine / n_fft) * (degree + 1) * (8 if single else 16)
-    kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
+    size = int(length * n_fine / n_fft) * (degree + 1) * (8 if precision == "float32" else 16)
     return Choices(
-        precision, degree, n_fine / n_fft, n_fft, n_fine, length, margin, taper, beta, block, near, terms,
-        max(8, BATCH_BYTES // size // 8 * 8), kinds[scene.kind], errors,
+        degree=degree, oversampling=n_fine / n_fft, n_fft=n_fft, n_fine=n_fine, length=length, margin=margin, taper=taper,
+        beta=beta, batch=max(8, BATCH_BYTES // size // 8 * 8), errors=errors, **shared,
     )  # fmt: skip
 
 
-def _term_ns(block: int, degree: int, oversampling: float) -> float:
+def _term_ns(block: int, degree: int, oversampling: float, backend: str, scene: Scene, precision: str) -> float:
     """Predicted cost of a term, ns."""
-    base = TERM_NS if block else EXACT_NS
-    return base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)
+    if backend == "numba":
+        base = TERM_NS if block else EXACT_NS
+        return (base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)) * (1 if precision == "float32" else 2)
+    lanes, term, coefficient, exact = NATIVE_NS[native.isa_name()]
+    wide = 1.0 if precision == "float32" else 2.0
+    if not block:
+        return wide * exact
+    # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
+    span = lanes / wide * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
+    registers = 1 if span < lanes / wide - 1 else 2 if span < 2 * lanes / wide - 1 else 5
+    return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))
 
 
-def _choose_delay(scene: Scene, tol: float) -> tuple[int, float, dict[str, float]]:
+def _choose_delay(scene: Scene, tol: float, nodes: int, single: bool) -> tuple[int, float, dict[str, float]]:
     """Block length and the distance from which its delay polynomial holds; 0 where only exact delays keep tol.
 
     sqrt(r^2 + 2 r u s + s^2) has Taylor coefficients |a_n| <= 2/((2n - 1) r^(n-1)) (Legendre's generating function), so the
-    polynomial through five Chebyshev nodes of |s| <= h is wrong by at most (2/9) h^5/(16 r^4), for each way. The float32
-    offset from the block's centre, up to `turns` at its ends, rounds three times: rms 2^-24 turns/2 over the block.
+    polynomial through n Chebyshev nodes of |s| <= h is wrong by at most 2 h^n/((2n - 1) 2^(n-1) r^(n-1)), for each way. The
+    offset from the block's centre, up to `turns` at its ends, rounds three times: rms eps turns/2 over the block.
     """
     wave = scene.fc / scene.c
+    eps = 2.0**-24 if single else 2.0**-53
     best: tuple[int, float, dict[str, float]] = (0, 0.0, {})
     for block in (64, 48, 32, 16):
         count = _even_split(scene.line_length, block)
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
-        rounding = np.pi * turns * 2.0**-24 + 2.0**-22
+        rounding = np.pi * turns * eps + 4 * eps
         if rounding > 3 * SHARE_PHASE * tol:
             continue
         near = 2 * half
         if half > 0:
-            scaled = 2 * np.pi * wave * 2 * 1.3 * (2 / 9) * half**5 / 16
-            near = max(near, (scaled / (SHARE_PHASE * tol)) ** 0.25)
+            scaled = 2 * np.pi * wave * 2 * 1.3 * (2 / (2 * nodes - 1)) * half**nodes / 2 ** (nodes - 1)
+            near = max(near, (scaled / (SHARE_PHASE * tol)) ** (1 / (nodes - 1)))
         best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * tol})
         if near <= scene.nearest:
             break
@@ -315,9 +392,13 @@ class Plan:
     def __init__(
         self, echoes: Echoes, grid: Grid, tol: float, scene: Scene, choices: Choices, threads: int, backend: str, nan: str
     ) -> None:
+        from pysas import backprojection
+
         self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
         self.grid, self.scene, self.nan = grid, scene, nan
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
+        self.frame = backprojection.Frame(grid, scene.origin, choices.block)
+        self.reader = backprojection.reader_of(choices, scene.band)
         if not scene.heard.any():
             warnings.warn(scene.why_silent(), stacklevel=4)
 
@@ -355,16 +436,17 @@ class Plan:
         c, scene = self.choices, self.scene
         shape = " x ".join(map(str, self.grid.shape))
         delay = (
-            f"polynomials of degree {NODES - 1} over {c.block} pixels, exact below {c.near:.3g} m"
+            f"polynomials over {c.block} pixels, exact below {c.near:.3g} m"
             if c.block
             else "exact per pixel"
         )
         kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
+        made = f"a filter of {c.taps} taps" if c.taps else f"transforms of {c.n_fft} and {c.n_fine}"
         return "\n".join(
             [
                 f"Plan: backprojection of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
                 f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
-                f"  traces         {kept}, transforms of {c.n_fft} and {c.n_fine}",
+                f"  traces         {kept}, {made}",
                 f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
                 f"  delay          {c.delay}, {delay}",
                 f"  terms          {scene.traces * scene.pixels:.4g} at most",
@@ -377,11 +459,10 @@ class Plan:
     def predicted_seconds(self) -> float:
         """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
         c, scene = self.choices, self.scene
-        term = _term_ns(c.block, c.degree, c.oversampling)
-        if c.precision == "float64":
-            term *= 2
+        term = _term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
         traces = int(np.count_nonzero(scene.heard))
-        return traces * (scene.pixels * term + PREPARE_NS * (c.degree + 1) * c.n_fine) * 1e-9 / self.threads
+        made = PREPARE_NS * c.n_fine if not c.taps else c.length * c.oversampling * (1 + FILTER_NS * c.taps)
+        return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads
 
     @property
     def predicted_memory(self) -> int:
@@ -389,7 +470,10 @@ class Plan:
         c = self.choices
         item = 8 if c.precision == "float32" else 16
         work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
-        work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
+        if not c.taps:
+            work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
+        if self.backend == "cpp" and not c.block:
+            work += 24 * min(native.SLAB, self.grid.size)
         return int(self.grid.size * self.dtype.itemsize + work)
 
     def explain(self) -> str:

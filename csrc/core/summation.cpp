@@ -117,6 +117,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             TileJob<Real> job{&terms, nullptr, nullptr, active, 0, frame.count, re, im, 0};
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
+                job.count = static_cast<int>(right - left);  // a block never runs on behind the image: tables end there
                 for (std::int64_t r = 0; r < job.rows; ++r) {
                     for (std::int64_t axis = 0; axis < 3; ++axis) {
                         const double step = frame.step[3 * (top + r) + axis];
@@ -151,7 +152,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             }
             if (!any) return;
             run_sum(kernels, job);
-            counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * frame.count);
+            counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * job.count);
             using value = typename Pixel::value_type;
             for (int r = 0; r < job.rows; ++r) {
                 std::int64_t line, begin, end;

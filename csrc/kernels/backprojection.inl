@@ -76,10 +76,11 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
         vec left = value(at.edge[0]);
         for (int s = 0; s < at.used; ++s) {
             const vec right = value(at.edge[s + 1]);
-            const vec first = D::floor(D::sub(D::min(left, right), slack));
+            // no pixel lies before the table, though the bound on where they lie may
+            const vec first = D::max(D::floor(D::sub(D::min(left, right), slack)), D::sub(D::set(0.0), low));
             span = D::max(span, D::sub(D::add(D::max(left, right), slack), first));
             D::store(out.shift[s] + r, D::sub(part, first));
-            D::store_index(out.base[s] + r, D::max(D::add(low, first), D::set(0.0)));
+            D::store_index(out.base[s] + r, D::add(low, first));
             left = right;
         }
     }
@@ -322,28 +323,28 @@ void sum_tile(TileJob<typename V::real>& tile) {
     if constexpr (sizeof(typename V::real) == 4) {
         switch (tile.terms->degree) {
             case 1:
-                return sum_trig<V, 5, 1, 5, 7>(tile);
+                return sum_trig<V, 5, 1, 5, 6>(tile);
             case 2:
-                return sum_trig<V, 5, 2, 5, 7>(tile);
+                return sum_trig<V, 5, 2, 5, 6>(tile);
             case 3:
-                return sum_trig<V, 5, 3, 5, 7>(tile);
+                return sum_trig<V, 5, 3, 5, 6>(tile);
             case 4:
-                return sum_trig<V, 5, 4, 5, 7>(tile);
+                return sum_trig<V, 5, 4, 5, 6>(tile);
             case 5:
-                return sum_trig<V, 5, 5, 5, 7>(tile);
+                return sum_trig<V, 5, 5, 5, 6>(tile);
             default:
-                return sum_trig<V, 5, 7, 5, 7>(tile);
+                return sum_trig<V, 5, 7, 5, 6>(tile);
         }
     } else {
         switch (tile.terms->degree) {
             case 3:
-                return sum_trig<V, 7, 3, 9, 11>(tile);
+                return sum_trig<V, 7, 3, 8, 10>(tile);
             case 5:
-                return sum_trig<V, 7, 5, 9, 11>(tile);
+                return sum_trig<V, 7, 5, 8, 10>(tile);
             case 7:
-                return sum_trig<V, 7, 7, 9, 11>(tile);
+                return sum_trig<V, 7, 7, 8, 10>(tile);
             default:
-                return sum_trig<V, 7, 9, 9, 11>(tile);
+                return sum_trig<V, 7, 9, 8, 10>(tile);
         }
     }
 }

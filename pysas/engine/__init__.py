@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import platform
 from typing import Any
 
 from pysas import _checks
+from pysas.engine import native
 from pysas.engine._numba import BLOCK, GEOMETRY, MONOSTATIC, MOVING, NODES, STOP_AND_HOP
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "NODES",
     "STOP_AND_HOP",
     "backend_name",
+    "isa",
     "processor",
     "show_config",
 ]
@@ -26,22 +27,20 @@ __all__ = [
 BACKENDS = ("auto", "numba", "cpp")
 
 
-def _extension() -> Any | None:
-    try:
-        return importlib.import_module("pysas.engine._core")
-    except ImportError:
-        return None
-
-
 def backend_name(backend: str = "auto") -> str:
-    """The backend that will run: the argument, else PYSAS_BACKEND, else the best there is."""
+    """The backend that will run: the argument, else PYSAS_BACKEND, else C++ where it was built."""
     name = _checks.choice("backend", backend, BACKENDS)
     if name == "auto":
         name = _checks.choice("PYSAS_BACKEND", os.environ.get("PYSAS_BACKEND", "auto"), BACKENDS)
-    if name == "cpp":
-        state = "is not built" if _extension() is None else "has no back-projection yet"
-        raise ValueError(f"backend='cpp': the C++ extension {state}: use 'numba' or 'auto'")
-    return "numba"
+    built = native.extension() is not None
+    if name == "cpp" and not built:
+        raise ValueError("backend='cpp': the C++ extension is not built: use 'numba' or 'auto'")
+    return ("cpp" if built else "numba") if name == "auto" else name
+
+
+def isa(backend: str) -> str:
+    """What a backend's kernels run on: an instruction set, or the processor that Numba compiles for."""
+    return native.isa_name() if backend == "cpp" else processor()
 
 
 def processor() -> str:
@@ -61,12 +60,13 @@ def show_config(mode: str = "print") -> dict[str, Any] | None:
     import pysas
 
     _checks.choice("mode", mode, ("print", "dict"))
-    extension = _extension()
+    extension = native.extension()
     config = {
         "pysas": pysas.__version__,
         "backend": backend_name(),
+        "isa": isa(backend_name()),
         "processor": processor(),
-        "extension": "not built" if extension is None else f"{extension.compiler()}, {extension.isa()}",
+        "extension": "not built" if extension is None else f"{extension.compiler()}, {', '.join(extension.levels())}",
         "threads": _checks.threads(None),
         "python": platform.python_version(),
         "numpy": numpy.__version__,

@@ -1,7 +1,69 @@
 """What the C++ extension exports; a test compares this with the extension itself."""
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
 def compiler() -> str:
     """Name and version of the compiler that built this extension."""
 
-def isa() -> str:
-    """Best instruction set this machine offers to the kernels: baseline, avx2 or avx512."""
+def levels() -> list[str]:
+    """Instruction sets this build has and this machine runs, worst first."""
+
+def isa(name: str) -> str:
+    """The instruction set that `name` stands for; "auto" is the best. ValueError for one that is not in `levels`."""
+
+def plane_stride(intervals: int, degree: int, real: int) -> int:
+    """Reals of `real` bytes from one plane of a table to the next."""
+
+def intervals(length: int, rate: float) -> int:
+    """Intervals of a table over `length` samples."""
+
+def design(
+    band: float, degree: int, phases: int, step: int, error: float, most: int, low_pass: bool
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
+    """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
+
+def peaks(data: npt.NDArray[Any], threads: int, tick: Callable[[int], object] | None) -> npt.NDArray[np.float64]:
+    """Largest real or imaginary part of every trace of (ping, channel, sample); not finite where the trace is not."""
+
+def prepare(
+    data: npt.NDArray[Any],
+    order: npt.NDArray[np.int64],
+    start: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.complex128] | None,
+    scale: float,
+    weight: npt.NDArray[np.float64],
+    first: npt.NDArray[np.int64],
+    step: int,
+    length: int,
+    table: npt.NDArray[Any],
+    threads: int,
+    isa: str,
+    tick: Callable[[int], object] | None,
+) -> None:
+    """Fill `table` (trace, plane, plane_stride) from the samples of traces `order`."""
+
+def add(
+    table: npt.NDArray[Any],
+    degree: int,
+    sine: Sequence[float],
+    cosine: Sequence[float],
+    geometry: npt.NDArray[np.float64],
+    model: npt.NDArray[np.float64],
+    kind: int,
+    nodes: npt.NDArray[np.float64],
+    fit: npt.NDArray[np.float64],
+    first: npt.NDArray[np.float64] | None,
+    step: npt.NDArray[np.float64] | None,
+    points: npt.NDArray[np.float64] | None,
+    mask: npt.NDArray[np.bool_] | None,
+    count: int,
+    image: npt.NDArray[Any],
+    threads: int,
+    isa: str,
+    tick: Callable[[int], object] | None,
+) -> int:
+    """Add a batch's terms to `image` (line, pixel); returns how many."""

@@ -90,3 +90,30 @@ def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[An
         if tail:
             fine[:, plan.n_fine - tail :] = spectrum[:, half:] * plan.transfer[q, half:]
         out[:, :, q] = scipy.fft.ifft(fine, axis=-1, workers=1)[:, : plan.intervals]
+
+
+def segments(
+    traces: ComplexArray,
+    order: npt.NDArray[np.int64],
+    start: npt.NDArray[np.int64],
+    weights: ComplexArray | None,
+    scale: float,
+    plan: Interpolator,
+    dtype: npt.DTypeLike,
+) -> ComplexArray:
+    """The samples kept of traces `order` (flat ping-channel numbers) of (ping, channel, sample), weighted and tapered.
+
+    Trace i is kept from sample start[i] on, zeros outside its record, divided by `scale`.
+    """
+    channels, n_sample = traces.shape[1], traces.shape[2]
+    kept: ComplexArray = np.zeros((order.size, plan.length), dtype=dtype)
+    for i, flat in enumerate(order):
+        trace = traces[divmod(int(flat), channels)]
+        first = int(start[i])
+        a, b = max(first, 0), min(first + plan.length, n_sample)
+        if b > a:
+            factor: Any = 1 / scale if weights is None else weights[i] / scale
+            kept[i, a - first : b - first] = trace[a:b] * np.asarray(factor, dtype=np.result_type(trace, factor))
+    if plan.window is not None:
+        kept *= plan.window
+    return kept

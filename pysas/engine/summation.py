@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba
-from pysas.engine.preparation import Interpolator, coefficients
+from pysas.engine.preparation import Interpolator, coefficients, segments
 
 
 def rows_per_task(n_fine: int) -> int:
@@ -59,19 +59,17 @@ class Totals:
     terms: int
 
 
-def largest(data: ComplexArray, threads: int) -> tuple[float, list[tuple[int, int]]]:
-    """Largest |real| or |imaginary| part of all finite traces, and (ping, channel) of the traces that are not finite."""
+def peaks(data: ComplexArray, threads: int) -> FloatArray:
+    """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
     traces = data if data.ndim == 3 else data[:, None, :]
-    peaks = np.zeros(traces.shape[:2])
+    found = np.zeros(traces.shape[:2])
 
     def measure(ping: int) -> None:
         for part in (traces[ping].real, traces[ping].imag):
-            np.maximum(peaks[ping], np.maximum(part.max(axis=-1), -part.min(axis=-1)), out=peaks[ping])
+            np.maximum(found[ping], np.maximum(part.max(axis=-1), -part.min(axis=-1)), out=found[ping])
 
     pool.run(measure, traces.shape[0], threads)
-    finite = np.isfinite(peaks)
-    bad = [(int(p), int(c)) for p, c in np.argwhere(~finite)]
-    return float(np.max(peaks, where=finite, initial=0.0)), bad
+    return found
 
 
 def accumulate(
@@ -96,8 +94,7 @@ def accumulate(
     `locate(tile)` gives the kernel's coords, blocks and active rows. `count` pixels make a block. The image is left
     multiplied by `scale`.
     """
-    traces = data.reshape(-1, data.shape[-1]) if data.flags.c_contiguous else None
-    channels = data.shape[1] if data.ndim == 3 else 1
+    traces = data if data.ndim == 3 else data[:, None, :]
     kind = np.dtype(real)
     complex_kind = np.dtype(np.complex64 if kind == np.float32 else np.complex128)
     nodes = np.cos(np.pi * (2 * np.arange(_numba.NODES)[::-1] + 1) / (2 * _numba.NODES))
@@ -108,7 +105,6 @@ def accumulate(
     sines, cosines = (tuple(scalar(v) for v in terms) for terms in trigonometry)
     pairs = (0,) * ((reader.degree + 1) // 2)
     half = scalar(0.5)
-    n_sample = data.shape[-1]
     at_once = rows_per_task(reader.n_fine)
     counted = np.zeros(len(tiles), dtype=np.int64)
     prepared = summed = 0.0
@@ -119,21 +115,12 @@ def accumulate(
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
 
         def prepare(task: int, part: npt.NDArray[np.int64] = part, begin: int = begin, table: Any = table) -> None:
-            lo = task * at_once
-            rows = part[lo : lo + at_once]
-            segments = np.zeros((rows.size, reader.length), dtype=complex_kind)
-            for i, flat in enumerate(rows):
-                trace = (
-                    traces[flat] if traces is not None else data[divmod(int(flat), channels) if data.ndim == 3 else int(flat)]
-                )
-                start = int(survey.start[begin + lo + i])
-                a, b = max(start, 0), min(start + reader.length, n_sample)
-                if b > a:
-                    factor: Any = 1 / scale if survey.weights is None else survey.weights[begin + lo + i] / scale
-                    segments[i, a - start : b - start] = trace[a:b] * np.asarray(factor, dtype=np.result_type(trace, factor))
-            if reader.window is not None:
-                segments *= reader.window
-            coefficients(segments, reader, table[lo : lo + rows.size])
+            rows = slice(task * at_once, (task + 1) * at_once)
+            kept = slice(begin + rows.start, begin + rows.stop)
+            weights = None if survey.weights is None else survey.weights[kept]
+            coefficients(
+                segments(traces, part[rows], survey.start[kept], weights, scale, reader, complex_kind), reader, table[rows]
+            )
 
         pool.run(prepare, -(-part.size // at_once), threads)
         geometry = survey.geometry[begin : begin + part.size].copy()

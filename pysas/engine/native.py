@@ -1,0 +1,199 @@
+"""The back-projection sum in C++: batches of traces become tables, tables are added to all tiles. See summation.py.
+
+A trace's table comes from a short filter where no pixel needs samples near a record's end, and from transforms, as the
+Numba engine's, where one does: only they read the end as the oracle does at every tolerance.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+from pysas import _pool as pool
+from pysas._checks import ComplexArray, FloatArray
+from pysas.engine.preparation import Interpolator, coefficients, segments
+from pysas.engine.summation import Survey, Totals, rows_per_task
+
+SLAB = 2**16  # pixels of a point list at a time
+# what the kernels are compiled for, by type: degrees of the interpolation, terms of the sine, nodes of the delay polynomial
+DEGREES = {"float32": (1, 2, 3, 4, 5, 7), "float64": (3, 5, 7, 9)}
+TRIGONOMETRY = {"float32": (5, 6), "float64": (8, 10)}
+NODES = {"float32": 5, "float64": 7}
+RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
+
+
+def extension() -> Any | None:
+    """The compiled module, or None where it was not built."""
+    try:
+        return importlib.import_module("pysas.engine._core")
+    except ImportError:
+        return None
+
+
+def core() -> Any:
+    """The compiled module, which must be there."""
+    return importlib.import_module("pysas.engine._core")
+
+
+def isa_name() -> str:
+    """The instruction set that will run: PYSAS_ISA, else the best of this machine.
+
+    Raises
+    ------
+    ValueError
+        PYSAS_ISA names none that this machine and this build have.
+    """
+    levels = core().levels()
+    name = _checks.choice("PYSAS_ISA", os.environ.get("PYSAS_ISA", "auto"), ("auto", *levels))
+    return str(levels[-1] if name == "auto" else name)
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Weights (phase, tap, degree + 1) and first taps (phase,) of a filter, its steps, and its measured `error`."""
+
+    weight: FloatArray
+    first: npt.NDArray[np.int64]
+    step: int
+    error: float
+
+    @property
+    def degree(self) -> int:
+        return int(self.weight.shape[2]) - 1
+
+    @property
+    def taps(self) -> int:
+        return int(self.weight.shape[1])
+
+    @property
+    def rate(self) -> float:
+        """Over-sampling: intervals per sample."""
+        return float(self.weight.shape[0]) / self.step
+
+
+@functools.lru_cache(maxsize=256)
+def design(band: float, degree: int, phases: int, step: int, error: float, most: int) -> Filter:
+    """A filter that reads components |f| <= band (units of fs) with at most `error`; look at its own `error`."""
+    weight, first, reached = core().design(band, degree, phases, step, error, most, False)
+    return Filter(weight, first, step, reached)
+
+
+class Frame(Protocol):
+    """The image as lines of pixels; see backprojection.Frame."""
+
+    straight: bool
+    first: FloatArray
+    step: FloatArray
+    shape: tuple[int, int]
+    count: int
+    mask: npt.NDArray[np.bool_] | None
+
+    def points(self, begin: int, end: int) -> FloatArray: ...
+
+
+def peaks(data: ComplexArray, threads: int) -> FloatArray:
+    """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
+    return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], threads, None))
+
+
+def accumulate(
+    data: ComplexArray,
+    order: npt.NDArray[np.int64],
+    survey: Survey,
+    reader: Interpolator | Filter,
+    length: int,
+    scale: float,
+    frame: Frame,
+    trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
+    real: npt.DTypeLike,
+    batch: int,
+    image: ComplexArray,
+    threads: int,
+    isa: str,
+    progress: Callable[[float], None] | None,
+) -> Totals:
+    """Add traces `order` of `data` to `image` (line, pixel), as summation.accumulate does."""
+    engine = core()
+    traces = data if data.ndim == 3 else data[:, None, :]
+    kind = np.dtype(real)
+    intervals = engine.intervals(length, reader.rate) if isinstance(reader, Filter) else reader.intervals
+    stride = engine.plane_stride(intervals, reader.degree, kind.itemsize)
+    table = np.empty((min(batch, len(order)), 2 * (reader.degree + 1), stride), dtype=kind)
+    count = NODES[kind.name]
+    nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
+    nodes[count // 2] = 0.0
+    fit = np.linalg.inv(np.vander(nodes, increasing=True))
+    prepared = summed = 0.0
+    terms = 0
+    for begin in range(0, len(order), batch):
+        part = order[begin : begin + batch]
+        clock = time.perf_counter()
+        rows = table[: part.size]
+        start = survey.start[begin : begin + part.size]
+        weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
+        if isinstance(reader, Filter):
+            engine.prepare(
+                traces, part, start, weights, scale, reader.weight, reader.first, reader.step, length, rows, threads, isa, None
+            )
+        else:
+            _transform(traces, part, start, weights, scale, reader, rows, threads)
+        now = time.perf_counter()
+        prepared += now - clock
+        height, width = frame.shape
+        slabs = [(0, width)] if frame.straight else [(lo, min(lo + SLAB, width)) for lo in range(0, width, SLAB)]
+        for number, (lo, hi) in enumerate(slabs):
+            share = ((begin + part.size * number / len(slabs)) / len(order), part.size / len(order) / len(slabs))
+            tick = None
+            if progress is not None:
+                tiles = -(-height // 32) * -(-width // frame.count) if frame.straight else -(-(hi - lo) // (32 * frame.count))
+
+                def tick(done: int, share: tuple[float, float] = share, tiles: int = tiles) -> None:
+                    assert progress is not None
+                    progress(share[0] + share[1] * min(done / tiles, 1.0))
+
+            points = None if frame.straight else frame.points(lo, hi)
+            mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
+            terms += engine.add(
+                rows, reader.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
+                survey.kind, nodes, fit, frame.first if frame.straight else None, frame.step if frame.straight else None, points,
+                mask, frame.count, image[:, lo:hi], threads, isa, tick,
+            )  # fmt: skip
+        summed += time.perf_counter() - now
+    return Totals(prepared, summed, terms)
+
+
+def _transform(
+    traces: ComplexArray,
+    part: npt.NDArray[np.int64],
+    start: npt.NDArray[np.int64],
+    weights: ComplexArray | None,
+    scale: float,
+    reader: Interpolator,
+    table: FloatArray,
+    threads: int,
+) -> None:
+    """Tables by transforms; `coefficients` gives complex rows, the kernels want planes."""
+    at_once = rows_per_task(reader.n_fine)
+    kind = np.complex64 if table.dtype == np.float32 else np.complex128
+
+    def prepare(task: int) -> None:
+        rows = slice(task * at_once, (task + 1) * at_once)
+        factors = None if weights is None else weights[rows]
+        kept = segments(traces, part[rows], start[rows], factors, scale, reader, kind)
+        found = np.empty((len(kept), reader.intervals, reader.degree + 1), dtype=kind)
+        coefficients(kept, reader, found)
+        for q in range(reader.degree + 1):
+            table[rows, 2 * q, : reader.intervals] = found[:, :, q].real
+            table[rows, 2 * q + 1, : reader.intervals] = found[:, :, q].imag
+        table[rows, :, reader.intervals :] = 0
+
+    pool.run(prepare, -(-part.size // at_once), threads)
