@@ -135,8 +135,9 @@ def execute(
         target = np.zeros(frame.shape, dtype=plan.dtype) if flat is None else flat
         real = np.dtype(choices.precision)
         if cpp:
+            assert isinstance(reader, native.Reader)
             totals = native.accumulate(
-                samples, order, survey, reader, choices.length, scale, frame, trigonometry, real, choices.batch, target,
+                samples, order, survey, reader, scale, frame, trigonometry, real, choices.batch, target,
                 plan.threads, isa, progress,
             )  # fmt: skip
         else:
@@ -174,7 +175,7 @@ def _survey(plan: planner.Plan, order: npt.NDArray[np.int64]) -> Survey:
     scene, choices = plan.scene, plan.choices
     geometry = scene.geometry[order]
     start = np.zeros(order.size, dtype=np.int64)
-    if choices.taper or choices.taps:
+    if choices.taper or (choices.taps and not choices.n_fft):
         start = scene.first[order] - 1 - choices.margin
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
@@ -182,16 +183,22 @@ def _survey(plan: planner.Plan, order: npt.NDArray[np.int64]) -> Survey:
     return Survey(geometry, start, None if scene.weights is None else scene.weights[order], scene.kind, model)
 
 
-def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator | native.Filter:
+def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator | native.Reader:
     """What makes coefficients from samples, as chosen."""
-    if choices.taps:
-        return native.design(
-            band, choices.degree, choices.phases, choices.step, choices.errors["interpolation"], choices.taps
+    kind = np.complex64 if choices.precision == "float32" else np.complex128
+    if not choices.taps:
+        return preparation.interpolator(
+            choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta, kind
         )
-    return preparation.interpolator(
-        choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta,
-        np.complex64 if choices.precision == "float32" else np.complex128,
-    )  # fmt: skip
+    error = choices.errors["interpolation"]
+    if not choices.n_fft:
+        return native.Reader(
+            native.design(band, choices.degree, choices.phases, choices.step, error, choices.taps), choices.length
+        )
+    filter = native.design(0.25, choices.degree, choices.phases, choices.step, error, choices.taps)
+    window = preparation.smooth_cut(choices.length, choices.taper, choices.beta, kind)
+    cut = preparation.Cut(choices.length, choices.n_fft, window)
+    return native.Reader(filter, choices.length, cut)
 
 
 class Frame:

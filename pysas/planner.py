@@ -83,7 +83,7 @@ class Choices:
     taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
     pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
     prepared at a time; errors : bound of each contribution; phases, step, taps : of the filter that makes the coefficients
-    (oversampling = phases/step), or 0 where transforms make them.
+    (C++; oversampling is phases/step of the samples, or twice that after transforms), or 0 where transforms make them.
     """
 
     precision: str
@@ -238,52 +238,58 @@ def _choose(scene: Scene, tol: float, backend: str = "numba") -> Choices:
     errors["sine and cosine"] = wrong
     kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
     shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
-    if backend == "cpp":
-        found = _choose_filter(scene, tol, errors, shared)
-        if found is not None:
-            return found
-    return _choose_transform(scene, tol, errors, shared, backend)
+    return (_choose_filter if backend == "cpp" else _choose_transform)(scene, tol, errors, shared)
 
 
-def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices | None:
-    """A short filter, where no pixel needs samples that the low-pass W at a record's end has changed; else None."""
+def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices:
+    """C++: coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
+
+    W (see pysas.reference.exact) says how a record's end is read, and its long response needs transforms: one forward, one
+    back to twice the sample rate, where |f| <= 1/4 is all there is left for the filter to read.
+    """
     heard = scene.heard
     away = guard(SHARE_WRAP * tol)
-    if not heard.any() or np.min(scene.first[heard]) < away or np.max(scene.last[heard]) > scene.n_sample - 1 - away:
-        return None
-    length = int(np.max(scene.last[heard] - scene.first[heard])) + 4
     errors = errors | {"record's ends": SHARE_WRAP * tol}
+    ends = heard.any() and (np.min(scene.first[heard]) < away or np.max(scene.last[heard]) > scene.n_sample - 1 - away)
+    n_fft = margin = taper = 0
+    beta, band, double = 0.0, scene.band, 1
+    if ends:
+        length, margin, taper, beta = _crop(scene, tol)
+        n_fft = scipy.fft.next_fast_len(length + max(away, LONGEST_FILTER))
+        band, double = 0.25, 2
+    else:
+        length = int(np.max(scene.last[heard] - scene.first[heard], initial=0)) + 4
     left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
-    best: tuple[float, int, native.Filter] | None = None
+    best: tuple[float, native.Filter] | None = None
     for degree in native.DEGREES[shared["precision"]]:
         for phases, step in native.RATES:
             # a polynomial's own error, before any filter is made: near-minimax for this phase advance
-            theta = np.pi * scene.band * step / phases
+            theta = np.pi * band * step / phases
             if theta ** (degree + 1) / (math.factorial(degree + 1) * 2**degree) > 1.5 * left:
                 continue
-            filter = native.design(scene.band, degree, phases, step, left, LONGEST_FILTER)
+            filter = native.design(band, degree, phases, step, left, LONGEST_FILTER)
             if filter.error > left:
                 continue
-            term = _term_ns(shared["block"], degree, phases / step, "cpp", scene, shared["precision"])
-            coefficients = (degree + 1) * length * phases / step
+            term = _term_ns(shared["block"], degree, double * filter.rate, "cpp", scene, shared["precision"])
+            coefficients = (degree + 1) * length * double * filter.rate
             cost = scene.traces * (scene.pixels * term + coefficients * (1 + FILTER_NS * filter.taps))
             if best is None or cost < best[0]:
-                best = (cost, phases, filter)
+                best = (cost, filter)
             break
-    if best is None:
-        return None
-    _, phases, filter = best
+    assert best is not None  # a longer filter and a higher degree reach every tolerance that is let in
+    filter = best[1]
     errors["interpolation"] = filter.error
-    size = length * filter.rate * (filter.degree + 1) * (8 if shared["precision"] == "float32" else 16)
+    rate = double * filter.rate
+    size = length * rate * (filter.degree + 1) * (8 if shared["precision"] == "float32" else 16)
     return Choices(
-        degree=filter.degree, oversampling=filter.rate, n_fft=0, n_fine=0, length=length, margin=0, taper=0, beta=0.0,
-        batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=phases, step=filter.step, taps=filter.taps,
-        **shared,
+        degree=filter.degree, oversampling=rate, n_fft=n_fft, n_fine=double * n_fft, length=length, margin=margin, taper=taper,
+        beta=beta, batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=len(filter.first), step=filter.step,
+        taps=filter.taps, **shared,
     )  # fmt: skip
 
 
-def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any], backend: str) -> Choices:
-    """Coefficients by transforms: any record, any tolerance."""
+def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices:
+    """Numba: coefficients by transforms."""
     length, margin, taper, beta = _crop(scene, tol)
     pad = guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
     errors["wrap-round"] = SHARE_WRAP * tol if pad else 0.0
@@ -292,11 +298,9 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
     precision = shared["precision"]
     best: tuple[float, int, int] | None = None
     for degree in THETA:
-        if backend == "cpp" and degree not in native.DEGREES[precision]:
-            continue
         rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = _term_ns(shared["block"], degree, n_fine / n_fft, backend, scene, precision)
+        term = _term_ns(shared["block"], degree, n_fine / n_fft, "numba", scene, precision)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
@@ -441,12 +445,12 @@ class Plan:
             else "exact per pixel"
         )
         kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
-        made = f"a filter of {c.taps} taps" if c.taps else f"transforms of {c.n_fft} and {c.n_fine}"
+        made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
         return "\n".join(
             [
                 f"Plan: backprojection of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
                 f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
-                f"  traces         {kept}, {made}",
+                f"  traces         {kept}, {', '.join(made)}",
                 f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
                 f"  delay          {c.delay}, {delay}",
                 f"  terms          {scene.traces * scene.pixels:.4g} at most",
@@ -461,7 +465,7 @@ class Plan:
         c, scene = self.choices, self.scene
         term = _term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
         traces = int(np.count_nonzero(scene.heard))
-        made = PREPARE_NS * c.n_fine if not c.taps else c.length * c.oversampling * (1 + FILTER_NS * c.taps)
+        made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
         return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads
 
     @property
@@ -470,7 +474,7 @@ class Plan:
         c = self.choices
         item = 8 if c.precision == "float32" else 16
         work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
-        if not c.taps:
+        if c.n_fft:
             work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
         if self.backend == "cpp" and not c.block:
             work += 24 * min(native.SLAB, self.grid.size)

@@ -38,7 +38,7 @@ const char* compiler() {
 
 template <typename T, int N>
 View<T, N> view(const py::array& array) {
-    if (array.ndim() != N || !array.dtype().is(py::dtype::of<std::remove_const_t<T>>())) {
+    if (array.ndim() != N || !py::isinstance<py::array_t<std::remove_const_t<T>>>(array)) {
         throw py::type_error("array of the wrong dtype or number of axes");
     }
     View<T, N> out;

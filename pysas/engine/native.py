@@ -1,7 +1,7 @@
 """The back-projection sum in C++: batches of traces become tables, tables are added to all tiles. See summation.py.
 
-A trace's table comes from a short filter where no pixel needs samples near a record's end, and from transforms, as the
-Numba engine's, where one does: only they read the end as the oracle does at every tolerance.
+A trace's table comes from a short filter; where a pixel needs samples near a record's end, of the trace low-passed by W at
+twice its rate: only transforms read the end as the oracle does at every tolerance.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import scipy.fft
 
 from pysas import _checks
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine.preparation import Interpolator, coefficients, segments
+from pysas.engine.preparation import Cut, low_pass, segments
 from pysas.engine.summation import Survey, Totals, rows_per_task
 
 SLAB = 2**16  # pixels of a point list at a time
@@ -87,6 +88,23 @@ def design(band: float, degree: int, phases: int, step: int, error: float, most:
     return Filter(weight, first, step, reached)
 
 
+@dataclass(frozen=True)
+class Reader:
+    """How traces become tables: `filter`, of samples or, where `cut` says how they are kept, of low-passed traces.
+
+    length : samples kept.
+    """
+
+    filter: Filter
+    length: int
+    cut: Cut | None = None
+
+    @property
+    def rate(self) -> float:
+        """Intervals per sample of the record."""
+        return self.filter.rate * (2 if self.cut is not None else 1)
+
+
 class Frame(Protocol):
     """The image as lines of pixels; see backprojection.Frame."""
 
@@ -109,8 +127,7 @@ def accumulate(
     data: ComplexArray,
     order: npt.NDArray[np.int64],
     survey: Survey,
-    reader: Interpolator | Filter,
-    length: int,
+    reader: Reader,
     scale: float,
     frame: Frame,
     trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
@@ -125,9 +142,10 @@ def accumulate(
     engine = core()
     traces = data if data.ndim == 3 else data[:, None, :]
     kind = np.dtype(real)
-    intervals = engine.intervals(length, reader.rate) if isinstance(reader, Filter) else reader.intervals
-    stride = engine.plane_stride(intervals, reader.degree, kind.itemsize)
-    table = np.empty((min(batch, len(order)), 2 * (reader.degree + 1), stride), dtype=kind)
+    filter = reader.filter
+    samples = reader.length if reader.cut is None else 2 * reader.length - 1
+    stride = engine.plane_stride(engine.intervals(samples, filter.rate), filter.degree, kind.itemsize)
+    table = np.empty((min(batch, len(order)), 2 * (filter.degree + 1), stride), dtype=kind)
     count = NODES[kind.name]
     nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
     nodes[count // 2] = 0.0
@@ -140,12 +158,12 @@ def accumulate(
         rows = table[: part.size]
         start = survey.start[begin : begin + part.size]
         weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
-        if isinstance(reader, Filter):
+        if reader.cut is None:
             engine.prepare(
-                traces, part, start, weights, scale, reader.weight, reader.first, reader.step, length, rows, threads, isa, None
+                traces, part, start, weights, scale, filter.weight, filter.first, filter.step, samples, rows, threads, isa, None
             )
         else:
-            _transform(traces, part, start, weights, scale, reader, rows, threads)
+            _low_passed(traces, part, start, weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
         height, width = frame.shape
@@ -163,7 +181,7 @@ def accumulate(
             points = None if frame.straight else frame.points(lo, hi)
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
             terms += engine.add(
-                rows, reader.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
+                rows, filter.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
                 survey.kind, nodes, fit, frame.first if frame.straight else None, frame.step if frame.straight else None, points,
                 mask, frame.count, image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
@@ -171,29 +189,42 @@ def accumulate(
     return Totals(prepared, summed, terms)
 
 
-def _transform(
+def _low_passed(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
     start: npt.NDArray[np.int64],
     weights: ComplexArray | None,
     scale: float,
-    reader: Interpolator,
+    reader: Reader,
     table: FloatArray,
     threads: int,
+    isa: str,
 ) -> None:
-    """Tables by transforms; `coefficients` gives complex rows, the kernels want planes."""
-    at_once = rows_per_task(reader.n_fine)
+    """Tables of traces low-passed by W, at twice the sample rate, in groups of traces that stay in the cache."""
+    assert reader.cut is not None
+    cut, n_fft = reader.cut, reader.cut.n_fft
+    at_once = rows_per_task(2 * n_fft)
     kind = np.complex64 if table.dtype == np.float32 else np.complex128
+    pass_band = (2 * low_pass(scipy.fft.fftfreq(n_fft))).astype(table.dtype)
+    lead = reader.filter.taps  # the filter reaches before the first sample kept
+    half = (n_fft + 1) // 2
 
     def prepare(task: int) -> None:
         rows = slice(task * at_once, (task + 1) * at_once)
         factors = None if weights is None else weights[rows]
-        kept = segments(traces, part[rows], start[rows], factors, scale, reader, kind)
-        found = np.empty((len(kept), reader.intervals, reader.degree + 1), dtype=kind)
-        coefficients(kept, reader, found)
-        for q in range(reader.degree + 1):
-            table[rows, 2 * q, : reader.intervals] = found[:, :, q].real
-            table[rows, 2 * q + 1, : reader.intervals] = found[:, :, q].imag
-        table[rows, :, reader.intervals :] = 0
+        kept = segments(traces, part[rows], start[rows], factors, scale, cut, kind)
+        padded = np.zeros((len(kept), n_fft), dtype=kind)
+        padded[:, lead : lead + cut.length] = kept
+        spectrum = scipy.fft.fft(padded, axis=-1, workers=1, overwrite_x=True)
+        spectrum *= pass_band
+        fine = np.zeros((len(kept), 1, 2 * n_fft), dtype=kind)
+        fine[:, 0, :half] = spectrum[:, :half]
+        fine[:, 0, half - n_fft :] = spectrum[:, half:]
+        fine = scipy.fft.ifft(fine, axis=-1, workers=1, overwrite_x=True)
+        order = np.arange(len(kept))
+        core().prepare(
+            fine, order, np.full(len(kept), 2 * lead), None, 1.0, reader.filter.weight, reader.filter.first, reader.filter.step,
+            2 * cut.length - 1, table[rows], 1, isa, None,
+        )  # fmt: skip
 
     pool.run(prepare, -(-part.size // at_once), threads)

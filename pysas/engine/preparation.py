@@ -21,21 +21,29 @@ from pysas._checks import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
-class Interpolator:
-    """How traces become coefficients.
+class Cut:
+    """How much of a trace is kept, and the length of its transform.
 
-    length : samples kept of each trace; n_fft, n_fine : transform lengths at fs and at rate fs; intervals : intervals kept;
-    degree : of the polynomials; transfer : (degree + 1, n_fft) complex, H_q with the shift to the interval's middle;
-    window : (length,) smooth cut of the samples kept, or None.
+    length : samples kept of each trace; n_fft : transform length; window : (length,) smooth cut of the samples kept, or None.
     """
 
     length: int
     n_fft: int
+    window: FloatArray | None
+
+
+@dataclass(frozen=True)
+class Interpolator(Cut):
+    """How traces become coefficients.
+
+    n_fine : transform length at rate fs; intervals : intervals kept; degree : of the polynomials; transfer :
+    (degree + 1, n_fft) complex, H_q with the shift to the interval's middle.
+    """
+
     n_fine: int
     intervals: int
     degree: int
     transfer: ComplexArray
-    window: FloatArray | None
 
     @property
     def rate(self) -> float:
@@ -68,14 +76,19 @@ def interpolator(
     theta = np.pi * f * n_fft / n_fine
     transfer = monomials(theta, degree) * (low_pass(f) * np.exp(1j * theta) * (n_fine / n_fft))
     intervals = min(n_fine, int(np.ceil((length - 1) * n_fine / n_fft)) + 1)
-    window = None
-    if taper:
-        rise = np.cumsum(np.kaiser(taper + 1, beta))
-        window = np.ones(length)
-        window[:taper] = (rise / rise[-1])[:taper]
-        window[-taper:] = window[:taper][::-1]
-        window = window.astype(np.dtype(dtype).type(0).real.dtype)
-    return Interpolator(length, n_fft, n_fine, intervals, degree, transfer.astype(dtype), window)
+    window = smooth_cut(length, taper, beta, dtype)
+    return Interpolator(length, n_fft, window, n_fine, intervals, degree, transfer.astype(dtype))
+
+
+def smooth_cut(length: int, taper: int, beta: float, dtype: npt.DTypeLike) -> FloatArray | None:
+    """A window whose first and last `taper` samples rise and fall as a Kaiser window's integral; None without taper."""
+    if not taper:
+        return None
+    rise = np.cumsum(np.kaiser(taper + 1, beta))
+    window = np.ones(length)
+    window[:taper] = (rise / rise[-1])[:taper]
+    window[-taper:] = window[:taper][::-1]
+    return np.asarray(window, dtype=np.dtype(dtype).type(0).real.dtype)
 
 
 def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[Any]) -> None:
@@ -98,7 +111,7 @@ def segments(
     start: npt.NDArray[np.int64],
     weights: ComplexArray | None,
     scale: float,
-    plan: Interpolator,
+    plan: Cut,
     dtype: npt.DTypeLike,
 ) -> ComplexArray:
     """The samples kept of traces `order` (flat ping-channel numbers) of (ping, channel, sample), weighted and tapered.
