@@ -4,7 +4,7 @@ from pysas import metrics, plot, reference, tracks
 from pysas.backprojection import backproject
 from pysas.compression import compress
 from pysas.echoes import Beam, Echoes
-from pysas.engine import show_config
+from pysas.engine import get_include, get_library, show_config
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.io import load, save
@@ -16,6 +16,6 @@ from pysas.simulation import simulate
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "compress", "from_phase_history", "load",
-    "metrics", "plan", "plot", "reference", "save", "show_config", "simulate", "tracks",
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "compress", "from_phase_history", "get_include",
+    "get_library", "load", "metrics", "plan", "plot", "reference", "save", "show_config", "simulate", "tracks",
 ]  # fmt: skip

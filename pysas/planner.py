@@ -22,8 +22,9 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from pysas import _checks, engine
 from pysas._checks import ComplexArray, FloatArray
+from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
 from pysas.echoes import Echoes
-from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, preparation, summation
+from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, summation
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
@@ -61,16 +62,6 @@ SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 ROWS = 32
 BATCH_BYTES = 24 * 2**20
-# Numba's cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
-# coefficient of the preparation; a term with its own exact delay
-TERM_NS, PAIR_NS, CACHE_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 0.02, 9.6, 8.0
-# that of C++: lanes, then ns of a term, of one of its coefficients, of a term with its own exact delay, by instruction set
-NATIVE_NS = {
-    "avx512": (16, 0.35, 0.06, 2.5),
-    "avx2": (8, 0.6, 0.085, 4.0),
-    "baseline": (8, 2.6, 0.3, 8.0),
-}
-FILTER_NS = 0.05  # a tap of a filter's coefficient
 LONGEST_FILTER = 400
 
 
@@ -270,7 +261,7 @@ def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: d
             filter = native.design(band, degree, phases, step, left, LONGEST_FILTER)
             if filter.error > left:
                 continue
-            term = _term_ns(shared["block"], degree, double * filter.rate, "cpp", scene, shared["precision"])
+            term = term_ns(shared["block"], degree, double * filter.rate, "cpp", scene, shared["precision"])
             coefficients = (degree + 1) * length * double * filter.rate
             cost = scene.traces * (scene.pixels * term + coefficients * (1 + FILTER_NS * filter.taps))
             if best is None or cost < best[0]:
@@ -300,7 +291,7 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
     for degree in THETA:
         rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = _term_ns(shared["block"], degree, n_fine / n_fft, "numba", scene, precision)
+        term = term_ns(shared["block"], degree, n_fine / n_fft, "numba", scene, precision)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
@@ -312,21 +303,6 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
         degree=degree, oversampling=n_fine / n_fft, n_fft=n_fft, n_fine=n_fine, length=length, margin=margin, taper=taper,
         beta=beta, batch=max(8, BATCH_BYTES // size // 8 * 8), errors=errors, **shared,
     )  # fmt: skip
-
-
-def _term_ns(block: int, degree: int, oversampling: float, backend: str, scene: Scene, precision: str) -> float:
-    """Predicted cost of a term, ns."""
-    if backend == "numba":
-        base = TERM_NS if block else EXACT_NS
-        return (base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)) * (1 if precision == "float32" else 2)
-    lanes, term, coefficient, exact = NATIVE_NS[native.isa_name()]
-    wide = 1.0 if precision == "float32" else 2.0
-    if not block:
-        return wide * exact
-    # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
-    span = lanes / wide * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
-    registers = 1 if span < lanes / wide - 1 else 2 if span < 2 * lanes / wide - 1 else 5
-    return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))
 
 
 def _choose_delay(scene: Scene, tol: float, nodes: int, single: bool) -> tuple[int, float, dict[str, float]]:
@@ -439,11 +415,7 @@ class Plan:
     def __str__(self) -> str:
         c, scene = self.choices, self.scene
         shape = " x ".join(map(str, self.grid.shape))
-        delay = (
-            f"polynomials over {c.block} pixels, exact below {c.near:.3g} m"
-            if c.block
-            else "exact per pixel"
-        )
+        delay = f"polynomials over {c.block} pixels, exact below {c.near:.3g} m" if c.block else "exact per pixel"
         kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
         made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
         return "\n".join(
@@ -463,7 +435,7 @@ class Plan:
     def predicted_seconds(self) -> float:
         """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
         c, scene = self.choices, self.scene
-        term = _term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
+        term = term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
         traces = int(np.count_nonzero(scene.heard))
         made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
         return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads

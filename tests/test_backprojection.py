@@ -238,7 +238,6 @@ def test_a_grid_outside_the_record_warns_and_is_zero():
         ({}, {"threads": 0}, ValueError, "threads=0"),
         ({}, {"threads": 1.5}, TypeError, "threads=1.5"),
         ({}, {"backend": "fortran"}, ValueError, "backend='fortran'"),
-        ({}, {"backend": "cpp"}, ValueError, "backend='cpp'"),
         ({}, {"nan": "ignore"}, ValueError, "nan='ignore'"),
         ({}, {"weights": np.ones(3)}, ValueError, "weights: expected shape"),
         ({}, {"weights": [np.inf] + [1.0] * 7}, ValueError, "weights: non-finite at ping 0"),

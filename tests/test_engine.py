@@ -7,7 +7,7 @@ import pytest
 
 import pysas
 from pysas import _pool
-from pysas.engine import _numba, backend_name, preparation
+from pysas.engine import _numba, backend_name, native, preparation
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
@@ -58,12 +58,14 @@ def test_delays_satisfy_their_equation(kind):
 
 
 def test_backend_choice(monkeypatch):
-    assert backend_name() == backend_name("numba") == "numba"
+    built = native.extension() is not None
+    assert backend_name() == ("cpp" if built else "numba") and backend_name("numba") == "numba"
     monkeypatch.setenv("PYSAS_BACKEND", "numba")
     assert backend_name("auto") == "numba"
     monkeypatch.setenv("PYSAS_BACKEND", "fast")
     with pytest.raises(ValueError, match="PYSAS_BACKEND='fast'"):
         backend_name()
+    monkeypatch.setattr(native, "extension", lambda: None)
     with pytest.raises(ValueError, match="backend='cpp'"):
         backend_name("cpp")
 
@@ -113,4 +115,57 @@ def test_an_exception_in_a_worker_is_one_python_exception(monkeypatch):
 
     monkeypatch.setattr("pysas.engine.summation.coefficients", broken)
     with pytest.raises(ArithmeticError, match="injected"):
-        pysas.backproject(straight(), PLANE, threads=2)
+        pysas.backproject(straight(), PLANE, threads=2, backend="numba")
+    if native.extension() is not None:
+        monkeypatch.setattr("pysas.engine.native.segments", broken)
+        with pytest.raises(ArithmeticError, match="injected"):
+            pysas.backproject(straight(), PLANE, 1e-5, threads=2, backend="cpp")
+
+
+@pytest.mark.cpp
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_exception_in_the_callback_ends_the_sum(threads):
+    """Raised in the calling thread between tiles, carried through the C++ scheduler, other threads joined."""
+    from scenes import straight
+
+    def stop(share):
+        raise ArithmeticError(f"at {share:.2f}")
+
+    axis = np.arange(1500) * 0.01
+    with pytest.raises(ArithmeticError, match="at 0"):
+        pysas.backproject(straight(), pysas.Grid.plane(axis, 19 + axis / 10), threads=threads, backend="cpp", progress=stop)
+
+
+@pytest.mark.cpp
+def test_isa_is_forced_and_unknown_ones_are_named(monkeypatch):
+    from scenes import PLANE, straight
+
+    for name in native.core().levels():
+        monkeypatch.setenv("PYSAS_ISA", name)
+        assert pysas.backproject(straight(8), PLANE, backend="cpp").report.isa == name
+    monkeypatch.setenv("PYSAS_ISA", "mmx")
+    with pytest.raises(ValueError, match="PYSAS_ISA='mmx'"):
+        pysas.backproject(straight(8), PLANE, backend="cpp")
+    with pytest.raises(ValueError, match="isa='mmx'"):
+        native.core().isa("mmx")
+
+
+@pytest.mark.cpp
+@pytest.mark.parametrize(("band", "degree", "phases", "step"), [(0.375, 3, 2, 1), (0.2, 2, 3, 2), (0.4545, 5, 2, 1)])
+def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, step):
+    """Each in-band component, read by hand with the weights, is wrong by at most the stated error, and nearly that much."""
+    error = 1e-4 if degree > 3 else 1e-2
+    filter = native.design(band, degree, phases, step, error, 400)
+    n = np.arange(-400, 800)
+    worst = 0.0
+    for f in np.linspace(-band, band, 41):
+        x = np.exp(2j * np.pi * f * n)
+        for k in range(20):
+            m, phase = divmod(k, phases)
+            begin = 400 + step * m + filter.first[phase]
+            q = filter.weight[phase].T @ x[begin : begin + filter.taps]
+            t = np.linspace(-0.5, 0.5, 23)
+            exact = np.exp(2j * np.pi * f * (k + 0.5 + t) * step / phases)
+            worst = max(worst, float(np.max(np.abs(np.polynomial.polynomial.polyval(t, q) - exact))))
+    assert filter.error <= error
+    assert 0.8 * filter.error < worst < 1.02 * filter.error

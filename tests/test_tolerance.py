@@ -5,6 +5,7 @@ import pytest
 from scenes import SCENES
 
 import pysas
+from pysas.engine import native
 
 SINGLE = 10.0 ** -np.arange(1, 5.01, 1 / 3)
 DOUBLE = 10.0 ** -np.arange(1, 10.01, 1 / 3)
@@ -19,44 +20,58 @@ def scene(request):
     return request.param, echoes, grid, pixels, pysas.reference.exact(echoes, grid, pixels)
 
 
-def errors(scene, dtype, tolerances):
+def engines():
+    """(backend, ISA): C++ on every instruction set of this machine, and Numba."""
+    return [("numba", None)] + [("cpp", isa) for isa in (native.core().levels() if native.extension() else [])]
+
+
+@pytest.fixture(params=engines(), ids=lambda engine: engine[1] or engine[0])
+def engine(request, monkeypatch):
+    """Name of a backend, its instruction set forced."""
+    backend, isa = request.param
+    if isa is not None:
+        monkeypatch.setenv("PYSAS_ISA", isa)
+    return backend
+
+
+def errors(scene, dtype, tolerances, backend):
     _, echoes, grid, pixels, (exact, level) = scene
     # the oracle saw complex128; rounding the samples to complex64 moves it by 3e-8
     echoes = echoes.replace(data=echoes.data.astype(dtype))
     found = []
     for tol in tolerances:
-        image = pysas.backproject(echoes, grid, float(tol))
+        image = pysas.backproject(echoes, grid, float(tol), backend=backend)
         assert image.data.dtype == dtype and image.report.predicted_error <= tol
         found.append(pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level))
     return np.array(found)
 
 
-def test_complex64_keeps_tol(scene):
-    found = errors(scene, np.complex64, SINGLE)
+def test_complex64_keeps_tol(scene, engine):
+    found = errors(scene, np.complex64, SINGLE, engine)
     assert np.all(found <= SINGLE), dict(zip(SINGLE, found, strict=True))
     assert np.median(found / SINGLE) > 0.02  # and no more is bought than was asked
 
 
-def test_complex128_keeps_tol(scene):
+def test_complex128_keeps_tol(scene, engine):
     reachable = DOUBLE[DOUBLE >= (1e-14 * 1000 * 300e3 / 1500 if scene[0] == "far" else 1e-10) * (1 - 1e-9)]
-    found = errors(scene, np.complex128, reachable)
+    found = errors(scene, np.complex128, reachable, engine)
     assert np.all(found <= reachable), dict(zip(reachable, found, strict=True))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
 @pytest.mark.parametrize("name", SCENES)
-def test_eight_tolerances_per_decade(name, dtype):
+def test_eight_tolerances_per_decade(name, dtype, engine):
     make, grid = SCENES[name]
     echoes = make(pings=1024) if name != "full band" else make()
     pixels = np.random.default_rng(2).choice(grid.size, 250, replace=False)
     exact = pysas.reference.exact(echoes, grid, pixels)
     low = 5 if dtype == np.complex64 else 8 if name == "far" else 10
     tolerances = 10.0 ** -np.arange(1, low + 0.01, 1 / 8)
-    assert np.all(errors((name, echoes, grid, pixels, exact), dtype, tolerances) <= tolerances)
+    assert np.all(errors((name, echoes, grid, pixels, exact), dtype, tolerances, engine) <= tolerances)
 
 
-def test_options_keep_tol():
+def test_options_keep_tol(engine):
     """Weights, beam and mask together, against the oracle that has its own."""
     make, grid = SCENES["moving"]
     beam = pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(14.0))
@@ -70,6 +85,6 @@ def test_options_keep_tol():
     exact, level = pysas.reference.exact(echoes, grid, pixels, weights)
     assert 0.05 < np.count_nonzero(level) / pixels.size < 0.5
     for tol in (1e-2, 1e-4, 1e-8):
-        image = pysas.backproject(echoes, grid, tol, weights=weights)
+        image = pysas.backproject(echoes, grid, tol, weights=weights, backend=engine)
         assert pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level) <= tol
         assert not image.data[~mask].any()

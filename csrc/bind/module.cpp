@@ -6,9 +6,11 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <complex>
-#include <new>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
@@ -108,8 +110,8 @@ void prepare_batch(const py::array& data, const Array<std::int64_t>& order, cons
         using Sample = decltype(sample);
         using Real = decltype(real);
         const auto to = view<Real, 3>(table);
-        const Batch<Sample> batch{view<const Sample, 3>(data), order.data(), start.data(), pointer(weights),
-                                  order.size(),                length,       scale};
+        const Batch<Sample> batch{
+            view<const Sample, 3>(data), order.data(), start.data(), pointer(weights), order.size(), length, scale};
         const py::gil_scoped_release gil;
         prepare(kernels, batch, filter, to.data, to.stride[1], threads, check);
     };
@@ -147,14 +149,16 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
         terms.model = *reinterpret_cast<const Model*>(model.data());
         terms.kind = static_cast<Kind>(kind);
         terms.nodes.count = static_cast<int>(nodes.size());
-        for (int j = 0; j < terms.nodes.count; ++j) {
-            terms.nodes.at[j] = nodes.at(j);
-            for (int q = 0; q < terms.nodes.count; ++q) terms.nodes.fit[q][j] = fit.at(q, j);
-        }
+        std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
+        std::copy_n(fit.data(), max_nodes * max_nodes, &terms.nodes.fit[0][0]);
         const auto to = view<decltype(pixel), 2>(image);
-        const Frame frame{pointer(first), pointer(step), pointer(points),
+        const Frame frame{pointer(first),
+                          pointer(step),
+                          pointer(points),
                           mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-                          to.shape[0],    to.shape[1],   count};
+                          to.shape[0],
+                          to.shape[1],
+                          count};
         const py::gil_scoped_release gil;
         return add(kernels, terms, frame, to, threads, check);
     };
@@ -162,6 +166,8 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
     if (image.itemsize() == 8) return call(float(), std::complex<float>());
     return call(float(), std::complex<double>());
 }
+
+std::string isa_of(const std::string& name) { return kernels_for(name).name; }
 
 void translate(std::exception_ptr pointer) {
     try {
@@ -176,13 +182,20 @@ void translate(std::exception_ptr pointer) {
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Compiled part of the engine.";
     py::register_exception_translator(&translate);
+    using py::operator""_a;
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
     m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
-    m.def("isa", [](const std::string& name) { return kernels_for(name).name; }, "The instruction set that `name` stands for.");
-    m.def("plane_stride", &plane_stride, "Reals from one plane of a table to the next.");
-    m.def("intervals", &intervals_of, "Intervals of a table over `length` samples.");
-    m.def("design", &design_filter, "Filter weights (phase, tap, power), first taps and measured error.");
-    m.def("peaks", &trace_peaks, "Largest real or imaginary part of every trace; not finite where the trace is not.");
-    m.def("prepare", &prepare_batch, "Fill the tables of a batch of traces.");
-    m.def("add", &add_batch, "Add a batch's terms to an image; returns how many.");
+    m.def("isa", &isa_of, "name"_a, "The instruction set that `name` stands for.");
+    m.def("plane_stride", &plane_stride, "intervals"_a, "degree"_a, "real"_a,
+          "Reals from one plane of a table to the next.");
+    m.def("intervals", &intervals_of, "length"_a, "rate"_a, "Intervals of a table over `length` samples.");
+    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "most"_a, "low_pass"_a,
+          "Filter weights (phase, tap, power), first taps and measured error.");
+    m.def("peaks", &trace_peaks, "data"_a, "threads"_a, "tick"_a,
+          "Largest real or imaginary part of every trace; not finite where the trace is not.");
+    m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "weight"_a, "first"_a,
+          "step"_a, "length"_a, "table"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the tables of a batch of traces.");
+    m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
+          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a,
+          "Add a batch's terms to an image; returns how many.");
 }

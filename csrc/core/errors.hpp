@@ -6,7 +6,8 @@
 
 namespace pysas {
 
-enum class Code { argument = 1, tolerance = 2, memory = 3, cancelled = 4, internal = 5 };
+// Numbered as the PYSAS_ERROR_ codes of pysas.h.
+enum class Code { argument = 1, tolerance = 2, memory = 3, cancelled = 4, internal = 5, data = 7 };
 
 class Error : public std::runtime_error {
   public:

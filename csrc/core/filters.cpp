@@ -1,6 +1,7 @@
-// The kernel g(time) is a sinc under a Kaiser window, or the impulse response of W cut off; each filter tap's coefficients
-// are those of the polynomial through g's values at Chebyshev nodes of the interval. Sums of taps then read every in-band
-// component as its own Chebyshev interpolant, which is within a factor two of the best polynomial of the degree.
+// The kernel g(time) is a sinc under a Kaiser window, or the impulse response of W cut off; each filter tap's
+// coefficients are those of the polynomial through g's values at Chebyshev nodes of the interval. Sums of taps then
+// read every in-band component as its own Chebyshev interpolant, which is within a factor two of the best polynomial of
+// the degree.
 
 #include "core/filters.hpp"
 
@@ -41,7 +42,8 @@ double low_pass_response(double time) {
 // From values at the degree + 1 Chebyshev nodes of [-1/2, 1/2] to coefficients of 1, t, t^2, ...
 std::vector<double> node_places(int degree) {
     std::vector<double> at(static_cast<std::size_t>(degree) + 1);
-    for (int j = 0; j <= degree; ++j) at[static_cast<std::size_t>(j)] = -0.5 * std::cos(pi * (2 * j + 1) / (2 * (degree + 1)));
+    for (int j = 0; j <= degree; ++j)
+        at[static_cast<std::size_t>(j)] = -0.5 * std::cos(pi * (2 * j + 1) / (2 * (degree + 1)));
     return at;
 }
 
@@ -56,17 +58,19 @@ void monomials(const std::vector<double>& at, std::vector<double>& values) {
 }
 
 double measure(const Filter& filter, double band, bool low_pass) {
-    const int steps = low_pass ? 2 * filter.taps : 16, places = 2 * filter.degree + 3;
-    const double end = low_pass ? 0.5 : band;
+    const int steps = low_pass ? 144 : 16, places = 2 * filter.degree + 3;
+    const double end = low_pass ? 1 / 2.2 : band;
     double worst = 0;
     for (int phase = 0; phase < filter.phases; ++phase) {
         const auto ph = static_cast<std::size_t>(phase);
         const double middle = (phase + 0.5) * filter.step / filter.phases;
         for (int i = 0; i <= steps; ++i) {
-            const double f = end * i / steps;  // the kernel is real: -f is as wrong as f
+            // the kernel is real: -f is as wrong as f. W's edge is where it is hardest to follow
+            const double f = i <= 16 ? end * i / 16 : end + (0.5 - end) * (i - 16) / 128;
             std::vector<std::complex<double>> response(static_cast<std::size_t>(filter.degree) + 1);
-            for (int tap = 0; tap < filter.taps; ++tap) {
-                const auto turn = std::polar(1.0, 2 * pi * f * (static_cast<double>(filter.first[ph]) + tap - middle));
+            auto turn = std::polar(1.0, 2 * pi * f * (static_cast<double>(filter.first[ph]) - middle));
+            const auto next = std::polar(1.0, 2 * pi * f);
+            for (int tap = 0; tap < filter.taps; ++tap, turn *= next) {
                 for (int q = 0; q <= filter.degree; ++q) {
                     const auto place = (ph * static_cast<std::size_t>(filter.taps) + static_cast<std::size_t>(tap)) *
                                            (static_cast<std::size_t>(filter.degree) + 1) +

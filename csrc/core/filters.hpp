@@ -6,9 +6,9 @@
 
 namespace pysas {
 
-// Interval k = phases m + phase of the over-sampled axis begins at sample k step / phases. Its polynomial in the position t
-// in [-1/2, 1/2] from the middle has the coefficients sum over taps of weight[(phase taps + tap) (degree + 1) + q] times
-// the sample step m + first[phase] + tap.
+// Interval k = phases m + phase of the over-sampled axis begins at sample k step / phases. Its polynomial in the
+// position t in [-1/2, 1/2] from the middle has the coefficients sum over taps of weight[(phase taps + tap) (degree +
+// 1) + q] times the sample step m + first[phase] + tap.
 struct Filter {
     int degree = 0, phases = 1, step = 1, taps = 0;
     double error = 0;  // largest error over the frequencies asked for, of a unit component
@@ -19,8 +19,8 @@ struct Filter {
 };
 
 // A filter for components |f| <= band (cycles per sample) with at most `error`, or `most` taps: look at its `error`.
-// With `low_pass` it reads samples as the low-passed signal they stand for (W of the oracle) at every |f| <= 1/2, so that a
-// record's hard end is read as the oracle reads it; this takes many more taps.
+// With `low_pass` it reads samples as the low-passed signal they stand for (W of the oracle) at every |f| <= 1/2, so
+// that a record's hard end is read as the oracle reads it; this takes many more taps.
 Filter design(double band, int degree, int phases, int step, double error, int most, bool low_pass);
 
 }  // namespace pysas

@@ -2,7 +2,8 @@
 //
 // A tile is up to `tile_rows` lines of up to `block` pixels. Traces arrive as tables of polynomial coefficients: for
 // every interval of an over-sampled time axis and every power q of the position t in [-1/2, 1/2] from its middle, the
-// real and the imaginary coefficient, in planes: plane 2 q + part at table + trace * trace_stride + plane * plane_stride.
+// real and the imaginary coefficient, in planes: plane 2 q + part at table + trace * trace_stride + plane *
+// plane_stride.
 #pragma once
 
 #include <cstdint>

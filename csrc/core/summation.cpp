@@ -49,8 +49,7 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
     const std::int64_t before = (filter.taps + 1) / 2 * 2, behind = filter.taps + 2 * plane_slack;
     const std::int64_t part = (before + batch.length + behind) / filter.step + 1;
     constexpr std::int64_t at_once = 4;
-    run(
-        (batch.count + at_once - 1) / at_once, threads,
+    run((batch.count + at_once - 1) / at_once, threads,
         [&](std::int64_t task) {
             std::vector<Real> samples(static_cast<std::size_t>(2 * filter.step * part));
             FilterJob<Real> job{};
@@ -108,7 +107,8 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
         down * across, threads,
         [&](std::int64_t task) {
             const std::int64_t top = task / across * rows, left = task % across * columns;
-            const std::int64_t bottom = std::min(top + rows, frame.height), right = std::min(left + columns, frame.width);
+            const std::int64_t bottom = std::min(top + rows, frame.height),
+                               right = std::min(left + columns, frame.width);
             const std::int64_t pixels = (bottom - top) * (right - left);
             alignas(64) Real re[tile_rows * block], im[tile_rows * block];
             double lines[tile_rows * 6];
@@ -132,7 +132,8 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
                 if (job.rows * frame.count != pixels) {  // the last tile: repeat its last point
                     tail.assign(job.points, job.points + 3 * pixels);
                     while (static_cast<std::int64_t>(tail.size()) < 3 * job.rows * frame.count) {
-                        for (int axis = 0; axis < 3; ++axis) tail.push_back(tail[static_cast<std::size_t>(3 * (pixels - 1) + axis)]);
+                        for (int axis = 0; axis < 3; ++axis)
+                            tail.push_back(tail[static_cast<std::size_t>(3 * (pixels - 1) + axis)]);
                     }
                     job.points = tail.data();
                 }

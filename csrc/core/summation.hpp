@@ -1,4 +1,5 @@
-// The sum over a batch of traces, in two steps on worker threads: their tables from samples, then every tile of the image.
+// The sum over a batch of traces, in two steps on worker threads: their tables from samples, then every tile of the
+// image.
 #pragma once
 
 #include <complex>
@@ -15,9 +16,9 @@ namespace pysas {
 // Which samples of which traces become tables.
 template <typename Sample>
 struct Batch {
-    View<const Sample, 3> data;    // ping, channel, sample
-    const std::int64_t* order;     // (count) flat ping-channel numbers
-    const std::int64_t* start;     // (count) first sample kept; those before the record's first are zero
+    View<const Sample, 3> data;           // ping, channel, sample
+    const std::int64_t* order;            // (count) flat ping-channel numbers
+    const std::int64_t* start;            // (count) first sample kept; those before the record's first are zero
     const std::complex<double>* weights;  // (count), or null
     std::int64_t count;
     std::int64_t length;  // samples kept
@@ -36,10 +37,10 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
 
 // The image seen as lines of pixels: straight and evenly spaced, or a list of points (one line).
 struct Frame {
-    const double* first;        // (height, 3) first pixels of the lines, or null
-    const double* step;         // (height, 3)
-    const double* points;       // (width, 3) where there are no lines
-    const std::uint8_t* mask;   // (height, width) pixels wanted, or null
+    const double* first;       // (height, 3) first pixels of the lines, or null
+    const double* step;        // (height, 3)
+    const double* points;      // (width, 3) where there are no lines
+    const std::uint8_t* mask;  // (height, width) pixels wanted, or null
     std::int64_t height, width;
     int count;  // pixels of a block
 };

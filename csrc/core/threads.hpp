@@ -10,8 +10,8 @@ namespace pysas {
 using Tick = std::function<bool(std::int64_t)>;
 
 // Call body(0) ... body(count - 1), in order of a shared counter, on `threads` threads, the calling one among them. The
-// first exception of a task ends the others after their current task and is thrown here; a tick that returns false throws
-// Error(cancelled).
+// first exception of a task ends the others after their current task and is thrown here; a tick that returns false
+// throws Error(cancelled).
 void run(std::int64_t count, int threads, const std::function<void(std::int64_t)>& body, const Tick& tick);
 
 }  // namespace pysas

@@ -1,1 +1,100 @@
-/* C ABI */
+/* pysas from C: synthetic aperture sonar images by back-projection, with a relative error that the caller states.
+ *
+ * Every function returns 0 or one of the codes below; none throws, exits or prints. Structs begin with their size, so
+ * that a library newer than its caller knows which fields the caller has: set struct_size = sizeof(the struct) and zero
+ * the rest. Lengths are in metres, times in seconds, frequencies in hertz. Strides count elements, not bytes. Arrays
+ * without strides are C-contiguous. A plan may be executed from several threads at a time.
+ *
+ * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
+ * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
+ * (tau - t0) fs <= n_sample - 1. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where
+ * level^2 is the sum of the terms' squares.
+ */
+#ifndef PYSAS_H
+#define PYSAS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(_WIN32)
+#if defined(PYSAS_BUILD)
+#define PYSAS_API __declspec(dllexport)
+#else
+#define PYSAS_API __declspec(dllimport)
+#endif
+#else
+#define PYSAS_API __attribute__((visibility("default")))
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    PYSAS_OK = 0,
+    PYSAS_ERROR_ARGUMENT = 1,  /* a null pointer, a size, rate or coordinate that is not allowed or not finite */
+    PYSAS_ERROR_TOLERANCE = 2, /* tol cannot be kept: see pysas_options */
+    PYSAS_ERROR_MEMORY = 3,
+    PYSAS_ERROR_CANCELLED = 4, /* progress returned something other than 0 */
+    PYSAS_ERROR_INTERNAL = 5,
+    PYSAS_ERROR_STRUCT = 6, /* struct_size is not one this library knows */
+    PYSAS_ERROR_DATA = 7    /* samples that are not finite */
+};
+
+enum { PYSAS_COMPLEX64 = 0, PYSAS_COMPLEX128 = 1 };
+
+typedef struct pysas_survey {
+    size_t struct_size;
+    int64_t n_ping, n_channel, n_sample;
+    double fs;               /* sample rate */
+    double fc;               /* demodulation frequency, > 0 */
+    double bandwidth;        /* two-sided, of the samples; at most fs / 1.1; 0: fs / 1.1 */
+    double c;                /* speed of sound */
+    double t0;               /* time of sample 0 after the start of transmission */
+    const double* ping_t0;   /* (n_ping), or NULL: t0 for all */
+    const double* tx;        /* (n_ping, 3) transmitters */
+    const double* rx;        /* (n_ping, n_channel, 3) receivers when the ping starts */
+    const double* velocity;  /* (n_ping, n_channel, 3) receivers' velocities, or NULL: none */
+    const double* weights;   /* (n_ping, n_channel) factors of the terms, or NULL: 1 */
+    const double* boresight; /* (n_ping, 3) unit vectors, or NULL: no beam */
+    double beam_half_angle;  /* terms outside it do not count, radians */
+} pysas_survey;
+
+typedef struct pysas_grid {
+    size_t struct_size;
+    int64_t height, width;
+    double first[3], along[3], down[3]; /* pixel (i, j) = first + j along + i down */
+    const double* points;               /* (height, width, 3) instead of the above, or NULL */
+    const uint8_t* mask;                /* (height, width) 0: pixel not wanted, left zero; or NULL */
+} pysas_grid;
+
+typedef struct pysas_options {
+    size_t struct_size;
+    double tol;      /* 1e-1 to 1e-5 (complex64), to 1e-10 (complex128); less beside a record's ends is refused */
+    int32_t dtype;   /* of samples and image: PYSAS_COMPLEX64 or PYSAS_COMPLEX128 */
+    int32_t threads; /* 0: all processors. The image does not depend on it */
+    const char* isa; /* "baseline", "avx2", "avx512", or NULL: PYSAS_ISA of the environment, else the best */
+    int (*progress)(double share,
+                    void* user); /* called now and then from the calling thread; not 0 stops. May be NULL */
+    void* user;
+} pysas_options;
+
+typedef struct pysas_plan pysas_plan;
+
+/* Choose how to image data of a geometry; nothing of the arguments is kept. */
+PYSAS_API int pysas_plan_create(const pysas_survey* survey, const pysas_grid* grid, const pysas_options* options,
+                                pysas_plan** plan);
+
+/* Image data (ping, channel, sample) into image (row, column), which is overwritten. Strides may be NULL: C-contiguous.
+ */
+PYSAS_API int pysas_plan_execute(const pysas_plan* plan, const void* data, const int64_t data_stride[3], void* image,
+                                 const int64_t image_stride[2]);
+
+PYSAS_API void pysas_plan_destroy(pysas_plan* plan);
+
+PYSAS_API const char* pysas_strerror(int code);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -84,8 +84,8 @@ struct Double {
     template <int W>
     static vec pick(const double* p, idx k) {
         const idx even = _mm256_slli_epi64(k, 1);
-        const idx halves = _mm256_or_si256(_mm256_blend_epi32(even, _mm256_slli_epi64(k, 33), 0xAA),
-                                           _mm256_set1_epi64x(0x100000000));
+        const idx halves =
+            _mm256_or_si256(_mm256_blend_epi32(even, _mm256_slli_epi64(k, 33), 0xAA), _mm256_set1_epi64x(0x100000000));
         const vec low = permute(p, halves);
         if constexpr (W == 1) return low;
         return _mm256_blendv_pd(low, permute(p + 4, halves), _mm256_castsi256_pd(_mm256_slli_epi64(k, 61)));

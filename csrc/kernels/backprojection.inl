@@ -1,9 +1,9 @@
-// The sum over traces for one tile of pixels. Included inside a namespace of one instruction set, after its vector types
-// Float and Double.
+// The sum over traces for one tile of pixels. Included inside a namespace of one instruction set, after its vector
+// types Float and Double.
 //
-// A line of up to `block` pixels and a trace: the delay is a polynomial through exact delays at Chebyshev nodes (float64),
-// carried into the type of the arithmetic as an offset from the block's centre. Per vector of pixels: offset in intervals,
-// interval and position in it, phase in turns, the interval's polynomial, one complex multiply-add.
+// A line of up to `block` pixels and a trace: the delay is a polynomial through exact delays at Chebyshev nodes
+// (float64), carried into the type of the arithmetic as an offset from the block's centre. Per vector of pixels: offset
+// in intervals, interval and position in it, phase in turns, the interval's polynomial, one complex multiply-add.
 
 #include "kernels/delay.inl"
 #include "kernels/interpolation.inl"
@@ -47,7 +47,8 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     vec span = D::set(0.0);
     for (int r = 0; r < rows; r += D::n) {
         vec tau[N];
-        for (int j = 0; j < N; ++j) tau[j] = delay<K>(trace, job.model.c, D::load(at.x[j] + r), D::load(at.y[j] + r), D::load(at.z[j] + r));
+        for (int j = 0; j < N; ++j)
+            tau[j] = delay<K>(trace, job.model.c, D::load(at.x[j] + r), D::load(at.y[j] + r), D::load(at.z[j] + r));
         const vec centre = tau[N / 2];
         for (int j = 0; j < N; ++j) tau[j] = D::sub(tau[j], centre);
         vec c[N - 1];
@@ -106,8 +107,8 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
         vec c[N - 1];
         for (int q = 0; q < N - 1; ++q) c[q] = V::set(poly.coefficient[q][r]);
         const vec turns = V::set(poly.turns[r]);
-        // two short loops: in one, the chain from delay to sum is so long that the processor's scheduler, which holds two
-        // vectors' instructions, waits for it
+        // two short loops: in one, the chain from delay to sum is so long that the processor's scheduler, which holds
+        // two vectors' instructions, waits for it
         alignas(64) real intervals[block], position[block], cycles[block];
         for (int s = 0; s < used; ++s) {
             const vec at = V::load(x + s * V::n);
@@ -125,7 +126,8 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             const vec k = V::load(intervals + s * V::n);
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
-            read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k), V::load(position + s * V::n), re, im);
+            read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
+                          V::load(position + s * V::n), re, im);
             real* to_re = all_re + r * block + s * V::n;
             real* to_im = all_im + r * block + s * V::n;
             V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
@@ -160,9 +162,11 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, const Trace& trace
         const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
         W::vec counts = W::mul(W::one_where_le(W::set(0.0), index), W::one_where_le(index, W::set(model.last)));
         if (model.cos_beam > -1.0) {
-            const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])), dz = W::sub(pz, W::set(trace.tx[2]));
+            const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])),
+                         dz = W::sub(pz, W::set(trace.tx[2]));
             const W::vec distance = W::sqrt(W::fma(dx, dx, W::fma(dy, dy, W::mul(dz, dz))));
-            const W::vec along = W::fma(dx, W::set(trace.boresight[0]), W::fma(dy, W::set(trace.boresight[1]), W::mul(dz, W::set(trace.boresight[2]))));
+            const W::vec along = W::fma(dx, W::set(trace.boresight[0]),
+                                        W::fma(dy, W::set(trace.boresight[1]), W::mul(dz, W::set(trace.boresight[2]))));
             counts = W::mul(counts, W::one_where_le(W::mul(W::set(model.cos_beam), distance), along));
         }
         // where a term does not count the index becomes the first kept sample's, which is in the table
@@ -225,10 +229,12 @@ void sum_traces(TileJob<typename V::real>& tile) {
     const Phase<V, T> phase(job.sine, job.cosine);
 
     alignas(64) real x[block];
-    for (int m = 0; m < block; ++m) x[m] = static_cast<real>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
+    for (int m = 0; m < block; ++m)
+        x[m] = static_cast<real>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
     Places<V, N> at;
     at.used = (count + V::n - 1) / V::n;
-    for (int s = 0; s <= at.used; ++s) at.edge[s] = count > 1 && s * V::n < count ? 2.0 * s * V::n / (count - 1) - 1 : 1.0;
+    for (int s = 0; s <= at.used; ++s)
+        at.edge[s] = count > 1 && s * V::n < count ? 2.0 * s * V::n / (count - 1) - 1 : 1.0;
     double row_centre[tile_rows][3], row_radius[tile_rows];
     double corners[2 * tile_rows][3];
     double centre[3], radius;

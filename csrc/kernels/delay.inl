@@ -1,16 +1,18 @@
 // Two-way travel times in float64, and whether a sphere of pixels lies within a trace's window.
 // Included inside a namespace of one instruction set, after its vector types.
 
-// Delay of the points (x, y, z). Moving: the positive root of (c^2 - v^2) tau^2 - 2 (c D - d.v) tau + D^2 - d^2 = 0, with D
-// the distance from the transmitter and d the vector from the receiver's place at transmission.
+// Delay of the points (x, y, z). Moving: the positive root of (c^2 - v^2) tau^2 - 2 (c D - d.v) tau + D^2 - d^2 = 0,
+// with D the distance from the transmitter and d the vector from the receiver's place at transmission.
 template <Kind K>
 Double::vec delay(const Trace& trace, double c, Double::vec x, Double::vec y, Double::vec z) {
     using V = Double;
     using vec = V::vec;
     const auto square = [](vec a, vec b, vec d) { return V::fma(a, a, V::fma(b, b, V::mul(d, d))); };
-    const vec there2 = square(V::sub(x, V::set(trace.tx[0])), V::sub(y, V::set(trace.tx[1])), V::sub(z, V::set(trace.tx[2])));
+    const vec there2 =
+        square(V::sub(x, V::set(trace.tx[0])), V::sub(y, V::set(trace.tx[1])), V::sub(z, V::set(trace.tx[2])));
     if constexpr (K == Kind::monostatic) return V::mul(V::set(2.0 / c), V::sqrt(there2));
-    const vec dx = V::sub(x, V::set(trace.rx[0])), dy = V::sub(y, V::set(trace.rx[1])), dz = V::sub(z, V::set(trace.rx[2]));
+    const vec dx = V::sub(x, V::set(trace.rx[0])), dy = V::sub(y, V::set(trace.rx[1])),
+              dz = V::sub(z, V::set(trace.rx[2]));
     const vec back2 = square(dx, dy, dz);
     if constexpr (K == Kind::stop_and_hop) return V::mul(V::set(1.0 / c), V::add(V::sqrt(there2), V::sqrt(back2)));
     const double* v = trace.velocity;

@@ -19,6 +19,8 @@ __all__ = [
     "NODES",
     "STOP_AND_HOP",
     "backend_name",
+    "get_include",
+    "get_library",
     "isa",
     "processor",
     "show_config",
@@ -41,6 +43,37 @@ def backend_name(backend: str = "auto") -> str:
 def isa(backend: str) -> str:
     """What a backend's kernels run on: an instruction set, or the processor that Numba compiles for."""
     return native.isa_name() if backend == "cpp" else processor()
+
+
+def get_include() -> str:
+    """Folder of the C header pysas.h.
+
+    Raises
+    ------
+    FileNotFoundError
+        The C++ parts were not built.
+    """
+    return _shipped("include", "pysas.h")[0]
+
+
+def get_library() -> str:
+    """Path of the C library, which needs no Python; link with it, or load it, and see pysas.h.
+
+    Raises
+    ------
+    FileNotFoundError
+        The C++ parts were not built.
+    """
+    return os.path.join(*_shipped("lib", "libpysas.so", "libpysas.dylib", "pysas.dll"))
+
+
+def _shipped(folder: str, *names: str) -> tuple[str, str]:
+    """The package's folder and the first of `names` in it."""
+    path = os.path.join(os.path.dirname(os.path.dirname(__file__)), folder)
+    for name in names:
+        if os.path.exists(os.path.join(path, name)):
+            return path, name
+    raise FileNotFoundError(f"{os.path.join(path, names[0])}: not there: the C++ parts of pysas were not built")
 
 
 def processor() -> str:

@@ -21,6 +21,7 @@ import scipy.fft
 from pysas import _checks
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
+from pysas.engine import summation
 from pysas.engine.preparation import Cut, low_pass, segments
 from pysas.engine.summation import Survey, Totals, rows_per_task
 
@@ -120,7 +121,20 @@ class Frame(Protocol):
 
 def peaks(data: ComplexArray, threads: int) -> FloatArray:
     """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
+    if not _plain(data):
+        return summation.peaks(data, threads)
     return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], threads, None))
+
+
+def _plain(data: ComplexArray) -> bool:
+    """Whether C++ can read the array where it lies: this machine's byte order, aligned, whole elements between samples."""
+    return bool(data.dtype.isnative and data.flags.aligned and all(step % data.itemsize == 0 for step in data.strides))
+
+
+def _native(traces: ComplexArray, order: npt.NDArray[np.int64]) -> ComplexArray:
+    """A working copy of some traces that C++ can read."""
+    kind = np.dtype(traces.dtype).newbyteorder("=")
+    return np.array([traces[divmod(int(flat), traces.shape[1])] for flat in order], dtype=kind)[:, None, :]
 
 
 def accumulate(
@@ -149,7 +163,9 @@ def accumulate(
     count = NODES[kind.name]
     nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
     nodes[count // 2] = 0.0
-    fit = np.linalg.inv(np.vander(nodes, increasing=True))
+    fit = np.zeros((7, 7))
+    fit[:count, :count] = np.linalg.inv(np.vander(nodes, increasing=True))
+    plain = _plain(traces)
     prepared = summed = 0.0
     terms = 0
     for begin in range(0, len(order), batch):
@@ -159,8 +175,21 @@ def accumulate(
         start = survey.start[begin : begin + part.size]
         weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
         if reader.cut is None:
+            source, places = (traces, part) if plain else (_native(traces, part), np.arange(part.size))
             engine.prepare(
-                traces, part, start, weights, scale, filter.weight, filter.first, filter.step, samples, rows, threads, isa, None
+                source,
+                places,
+                start,
+                weights,
+                scale,
+                filter.weight,
+                filter.first,
+                filter.step,
+                samples,
+                rows,
+                threads,
+                isa,
+                None,
             )
         else:
             _low_passed(traces, part, start, weights, scale, reader, rows, threads, isa)
@@ -182,8 +211,8 @@ def accumulate(
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
             terms += engine.add(
                 rows, filter.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
-                survey.kind, nodes, fit, frame.first if frame.straight else None, frame.step if frame.straight else None, points,
-                mask, frame.count, image[:, lo:hi], threads, isa, tick,
+                survey.kind, nodes, fit, frame.first if frame.straight else None, frame.step if frame.straight else None,
+                points, mask, frame.count, image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)

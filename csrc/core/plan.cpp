@@ -1,0 +1,384 @@
+#include "core/plan.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <thread>
+
+#include "core/dispatch.hpp"
+#include "core/errors.hpp"
+
+namespace pysas {
+namespace {
+
+constexpr double pi = 3.14159265358979323846;
+constexpr std::int64_t most = std::int64_t{1} << 40;  // of any one size, and of their products
+
+[[noreturn]] void refuse(const std::string& text) { throw Error(Code::argument, text); }
+
+void finite(const double* values, std::int64_t count, const char* name) {
+    for (std::int64_t i = 0; values && i < count; ++i) {
+        if (!(std::abs(values[i]) <= 1e15)) refuse(std::string(name) + ": not finite, or beyond 1e15");
+    }
+}
+
+void size(std::int64_t a, std::int64_t b, std::int64_t c, const char* name) {
+    if (a < 1 || b < 1 || c < 1 || a > most || b > most / a || c > most / (a * b)) refuse(std::string(name) + ": size");
+}
+
+double distance(const double* a, const double* b) {
+    return std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+}
+
+// Coefficients in q of the polynomial through f at the Chebyshev nodes of [0, 1/4], and its largest error, times
+// `scale`.
+double fit(std::vector<double>& out, int count, const std::function<double(double)>& f,
+           const std::function<double(double)>& scale) {
+    std::vector<long double> at, values;
+    for (int j = 0; j < count; ++j) {
+        at.push_back(0.125L - 0.125L * std::cos(static_cast<long double>(pi) * (2 * j + 1) / (2 * count)));
+        values.push_back(f(static_cast<double>(at.back())));
+    }
+    const auto n = at.size();
+    for (std::size_t level = 1; level < n; ++level) {
+        for (std::size_t j = n - 1; j >= level; --j) values[j] = (values[j] - values[j - 1]) / (at[j] - at[j - level]);
+    }
+    for (std::size_t j = n - 1; j-- > 0;) {
+        for (std::size_t q = j; q + 1 < n; ++q) values[q] -= at[j] * values[q + 1];
+    }
+    out.assign(values.begin(), values.end());
+    double worst = 0;
+    for (int i = 0; i <= 400; ++i) {
+        const double q = 0.25 * i / 400;
+        double sum = 0;
+        for (std::size_t j = n; j-- > 0;) sum = sum * q + out[j];
+        worst = std::max(worst, std::abs(sum - f(q)) * scale(q));
+    }
+    return worst;
+}
+
+}  // namespace
+
+Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options)
+    : pings_(survey.n_ping),
+      channels_(survey.n_channel),
+      samples_(survey.n_sample),
+      height_(grid.height),
+      width_(grid.width) {
+    check(survey, grid, options);
+    single_ = options.dtype == PYSAS_COMPLEX64;
+    narrow_ = single_ || options.tol >= 1e-5 * (1 - 1e-9);
+    const unsigned all = std::thread::hardware_concurrency();
+    threads_ = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(all));
+    const char* wanted = options.isa ? options.isa : std::getenv("PYSAS_ISA");
+    kernels_ = &kernels_for(wanted ? wanted : "auto");
+    if (options.progress) {
+        const auto call = options.progress;
+        void* const user = options.user;
+        progress_ = [call, user](double share) { return call(share, user) == 0; };
+    }
+    const double bandwidth = survey.bandwidth > 0 ? survey.bandwidth : survey.fs / 1.1;
+    band_ = bandwidth / 2 / survey.fs;
+    model_.c = survey.c;
+    model_.fc = survey.fc;
+    model_.fs = survey.fs;
+    model_.last = static_cast<double>(samples_ - 1);
+    model_.cos_beam = survey.boresight && survey.beam_half_angle < pi ? std::cos(survey.beam_half_angle) : -1.0;
+    place(survey, grid);
+    choose(options.tol);
+}
+
+void Plan::check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) const {
+    size(pings_, channels_, samples_, "survey");
+    size(height_, width_, 3, "grid");
+    if (!survey.tx || !survey.rx) refuse("survey: tx and rx are needed");
+    const std::int64_t traces = pings_ * channels_;
+    finite(survey.tx, 3 * pings_, "tx");
+    finite(survey.rx, 3 * traces, "rx");
+    finite(survey.velocity, 3 * traces, "velocity");
+    finite(survey.weights, traces, "weights");
+    finite(survey.ping_t0, pings_, "ping_t0");
+    finite(survey.boresight, 3 * pings_, "boresight");
+    finite(&survey.t0, 1, "t0");
+    for (const double value : {survey.fs, survey.fc, survey.c}) {
+        if (!(value > 1e-9 && value <= 1e15)) refuse("survey: fs, fc and c must be positive and finite");
+    }
+    if (!(survey.bandwidth >= 0 && survey.bandwidth <= survey.fs / 1.1 * (1 + 1e-9)))
+        refuse("bandwidth: above fs / 1.1");
+    if (survey.boresight && !(survey.beam_half_angle > 0)) refuse("beam_half_angle: must be positive");
+    for (std::int64_t i = 0; survey.velocity && i < traces; ++i) {
+        const double zero[3] = {0, 0, 0};
+        if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * survey.c))
+            refuse("velocity: above half the speed of sound");
+    }
+    for (const double* vector : {grid.first, grid.along, grid.down}) finite(vector, 3, "grid");
+    finite(grid.points, 3 * height_ * width_, "points");
+    if (options.dtype != PYSAS_COMPLEX64 && options.dtype != PYSAS_COMPLEX128) refuse("dtype");
+    if (options.threads < 0 || options.threads > 4096) refuse("threads");
+    const double least = options.dtype == PYSAS_COMPLEX64 ? 1e-5 : 1e-10;
+    if (!(options.tol >= least * (1 - 1e-9) && options.tol <= 0.1)) throw Error(Code::tolerance, "tol: out of reach");
+}
+
+void Plan::place(const pysas_survey& survey, const pysas_grid& grid) {
+    const std::int64_t pixels = height_ * width_;
+    double low[3], high[3], origin[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        if (grid.points) {
+            low[axis] = high[axis] = grid.points[axis];
+            for (std::int64_t i = 0; i < pixels; ++i) {
+                low[axis] = std::min(low[axis], grid.points[3 * i + axis]);
+                high[axis] = std::max(high[axis], grid.points[3 * i + axis]);
+            }
+        } else {
+            const double along = grid.along[axis] * static_cast<double>(width_ - 1);
+            const double down = grid.down[axis] * static_cast<double>(height_ - 1);
+            low[axis] = grid.first[axis] + std::min(along, 0.0) + std::min(down, 0.0);
+            high[axis] = grid.first[axis] + std::max(along, 0.0) + std::max(down, 0.0);
+        }
+        origin[axis] = (low[axis] + high[axis]) / 2;
+        low[axis] -= origin[axis];
+        high[axis] -= origin[axis];
+    }
+    if (grid.points) {
+        points_.assign(grid.points, grid.points + 3 * pixels);
+        for (std::size_t i = 0; i < points_.size(); ++i) points_[i] -= origin[i % 3];
+    } else {
+        for (std::int64_t i = 0; i < height_; ++i) {
+            for (int axis = 0; axis < 3; ++axis) {
+                first_.push_back(grid.first[axis] - origin[axis] + static_cast<double>(i) * grid.down[axis]);
+                along_.push_back(grid.along[axis]);
+            }
+        }
+        const double zero[3] = {0, 0, 0};
+        step_ = distance(grid.along, zero);
+    }
+    if (grid.mask) mask_.assign(grid.mask, grid.mask + pixels);
+    bool together = true, moving = false;
+    for (std::int64_t i = 0; i < pings_ * channels_; ++i) {
+        const std::int64_t ping = i / channels_;
+        if (survey.weights && survey.weights[i] == 0) continue;
+        Trace trace{};
+        for (int axis = 0; axis < 3; ++axis) {
+            trace.tx[axis] = survey.tx[3 * ping + axis] - origin[axis];
+            trace.rx[axis] = survey.rx[3 * i + axis] - origin[axis];
+            together = together && trace.tx[axis] == trace.rx[axis];
+            if (survey.velocity) trace.velocity[axis] = survey.velocity[3 * i + axis];
+            moving = moving || trace.velocity[axis] != 0;
+            if (survey.boresight) trace.boresight[axis] = survey.boresight[3 * ping + axis];
+        }
+        trace.t0 = survey.ping_t0 ? survey.ping_t0[ping] : survey.t0;
+        traces_.push_back(trace);
+        order_.push_back(i);
+        if (survey.weights) weights_.emplace_back(survey.weights[i]);
+    }
+    kind_ = moving ? Kind::moving : together ? Kind::monostatic : Kind::stop_and_hop;
+    bound(low, high);
+}
+
+// Samples that any pixel of the box asks of each trace; traces that no pixel hears are dropped.
+void Plan::bound(const double low[3], const double high[3]) {
+    std::size_t kept = 0;
+    nearest_ = std::numeric_limits<double>::infinity();
+    lowest_ = samples_ - 1;
+    for (std::size_t i = 0; i < traces_.size(); ++i) {
+        Trace& trace = traces_[i];
+        double shortest = 0, longest = 0;
+        for (const double* sensor : {trace.tx, trace.rx}) {
+            double inside[3], far[3];
+            for (int axis = 0; axis < 3; ++axis) {
+                inside[axis] = std::clamp(sensor[axis], low[axis], high[axis]);
+                far[axis] = sensor[axis] - low[axis] > high[axis] - sensor[axis] ? low[axis] : high[axis];
+            }
+            const double least = distance(sensor, inside);
+            nearest_ = std::min(nearest_, least);
+            shortest += least;
+            longest += distance(sensor, far);
+        }
+        const double zero[3] = {0, 0, 0}, speed = distance(trace.velocity, zero);
+        const double begin = std::floor((shortest / (model_.c + speed) - trace.t0) * model_.fs);
+        const double end = std::ceil((longest / (model_.c - speed) - trace.t0) * model_.fs);
+        if (!(end >= 0 && begin <= model_.last)) continue;
+        const auto a = static_cast<std::int64_t>(std::max(begin, 0.0)),
+                   b = static_cast<std::int64_t>(std::min(end, model_.last));
+        lowest_ = std::min(lowest_, a);
+        highest_ = std::max(highest_, b);
+        length_ = std::max(length_, b - a + 4);
+        trace.crop = static_cast<double>(a - 1);
+        traces_[kept] = trace;
+        order_[kept] = order_[i];
+        if (!weights_.empty()) weights_[kept] = weights_[i];
+        start_.push_back(a - 1);
+        ++kept;
+    }
+    traces_.resize(kept);
+    order_.resize(kept);
+    if (!weights_.empty()) weights_.resize(kept);
+}
+
+void Plan::choose(double tol) {
+    // shares of tol: interpolation 0.6, each of the others at most 0.1
+    const double share = 0.1 * tol, eps = narrow_ ? 0x1p-24 : 0x1p-53;
+    for (const int terms : {narrow_ ? 5 : 8, narrow_ ? 6 : 10}) {
+        const auto root = [](double q) { return std::sqrt(q); };
+        const double s =
+            fit(sine_, terms, [&](double q) { return q > 0 ? std::sin(2 * pi * root(q)) / root(q) : 2 * pi; }, root);
+        const double c =
+            fit(cosine_, terms + 1, [&](double q) { return std::cos(2 * pi * root(q)); }, [](double) { return 1.0; });
+        if (std::max(s, c) <= share / 2) break;
+    }
+    nodes_.count = narrow_ ? 5 : 7;
+    const int n = nodes_.count;
+    for (int j = 0; j < n; ++j) nodes_.at[j] = j == n / 2 ? 0.0 : -std::cos(pi * (2 * j + 1) / (2 * n));
+    for (int j = 0; j < n; ++j) {  // column j: Lagrange's polynomial of node j
+        double row[max_nodes] = {1};
+        int degree = 0;
+        for (int i = 0; i < n; ++i) {
+            if (i == j) continue;
+            const double scale = 1 / (nodes_.at[j] - nodes_.at[i]);
+            for (int q = ++degree; q > 0; --q) row[q] = (row[q - 1] - nodes_.at[i] * row[q]) * scale;
+            row[0] *= -nodes_.at[i] * scale;
+        }
+        for (int q = 0; q < n; ++q) nodes_.fit[q][j] = row[q];
+    }
+    model_.near = std::numeric_limits<double>::infinity();
+    const double wave = model_.fc / model_.c;
+    for (const int size : {64, 48, 32, 16, 8}) {  // the bounds of pysas/planner.py, _choose_delay
+        count_ = size;
+        const double half = step_ * (size - 1) / 2, turns = 2 * half * wave;
+        if (pi * turns * eps + 4 * eps > share) continue;
+        const double wrong = 2 * pi * wave * 2 * 1.3 * (2.0 / (2 * n - 1)) * std::pow(half, n) / std::pow(2.0, n - 1);
+        model_.near = std::max(2 * half, std::pow(wrong / share, 1.0 / (n - 1)));
+        if (model_.near <= nearest_) break;
+    }
+    if (!first_.empty() && std::isinf(model_.near)) model_.near = 1e300;
+    if (!points_.empty()) count_ = block;
+    if (traces_.empty()) return;
+    // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of pysas/planner.py
+    const auto away = static_cast<std::int64_t>(3.5 * std::pow(share, -0.4)) + 8;
+    const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
+    constexpr int rates[][2] = {{1, 1}, {3, 2}, {2, 1}, {5, 2},  {3, 1}, {4, 1},
+                                {5, 1}, {6, 1}, {8, 1}, {11, 1}, {16, 1}};
+    double cheapest = std::numeric_limits<double>::infinity();
+    const std::vector<int> degrees = narrow_ ? std::vector<int>{1, 2, 3, 4, 5, 7} : std::vector<int>{3, 5, 7, 9};
+    for (const int degree : degrees) {
+        for (const auto& rate : rates) {
+            const double theta = pi * (ends ? 0.5 : band_) * rate[1] / rate[0];
+            if (std::pow(theta, degree + 1) / std::tgamma(degree + 2.0) / std::pow(2.0, degree) > 0.9 * tol) continue;
+            const double cost = (degree + 7) * (1 + 0.05 * rate[0] / rate[1]);
+            if (cost >= cheapest) break;
+            Filter filter = design(band_, degree, rate[0], rate[1], 0.6 * tol, ends ? 2048 : 400, ends);
+            if (filter.error > 0.6 * tol) continue;
+            cheapest = cost;
+            filter_ = std::move(filter);
+            break;
+        }
+    }
+    if (filter_.taps == 0) throw Error(Code::tolerance, "tol: pixels need samples too near a record's ends");
+    model_.rate = filter_.rate();
+}
+
+void Plan::execute(const void* data, const std::int64_t* data_stride, void* image,
+                   const std::int64_t* image_stride) const {
+    if (single_)
+        sum<float, std::complex<float>>(data, data_stride, image, image_stride);
+    else if (narrow_)
+        sum<float, std::complex<double>>(data, data_stride, image, image_stride);
+    else
+        sum<double, std::complex<double>>(data, data_stride, image, image_stride);
+}
+
+template <typename Real, typename Sample>
+void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, const std::int64_t* image_stride) const {
+    const std::int64_t packed[3] = {channels_ * samples_, samples_, 1}, rows[2] = {width_, 1};
+    View<const Sample, 3> from{static_cast<const Sample*>(data), {pings_, channels_, samples_}, {}};
+    View<Sample, 2> to{static_cast<Sample*>(image), {height_, width_}, {}};
+    std::copy_n(data_stride ? data_stride : packed, 3, from.stride);
+    std::copy_n(image_stride ? image_stride : rows, 2, to.stride);
+    for (std::int64_t i = 0; i < height_; ++i) {
+        for (std::int64_t j = 0; j < width_; ++j) to(i, j) = 0;
+    }
+    if (progress_ && !progress_(0)) throw Error(Code::cancelled, "stopped by the caller");
+    std::vector<double> peak(static_cast<std::size_t>(pings_ * channels_));
+    peaks(from, peak.data(), threads_, {});
+    const double largest = *std::max_element(peak.begin(), peak.end());
+    if (!(largest <= std::numeric_limits<double>::max())) throw Error(Code::data, "data: samples that are not finite");
+    if (traces_.empty() || largest == 0) return;
+    int exponent = 0;
+    std::frexp(largest, &exponent);
+    double scale = std::ldexp(1.0, exponent);
+    double heaviest = 0;
+    for (const auto& weight : weights_) heaviest = std::max(heaviest, std::abs(weight));
+    if (heaviest > 0) {
+        std::frexp(heaviest, &exponent);
+        scale *= std::ldexp(1.0, exponent);
+    }
+
+    const std::int64_t stride = plane_stride(intervals_of(length_, filter_.rate()), filter_.degree, sizeof(Real));
+    const std::int64_t planes = 2 * (filter_.degree + 1);
+    const auto all = static_cast<std::int64_t>(traces_.size());
+    const std::int64_t batch =
+        std::min(all, std::max<std::int64_t>(
+                          8, (std::int64_t{24} << 20) / (planes * stride * static_cast<std::int64_t>(sizeof(Real)))));
+    std::vector<Real> table(static_cast<std::size_t>(batch * planes * stride));
+    Terms<Real> terms{
+        table.data(), planes * stride, stride, filter_.degree, static_cast<int>(sine_.size()), {}, {}, nullptr, 0,
+        model_,       kind_,           nodes_};
+    std::copy(sine_.begin(), sine_.end(), terms.sine);
+    std::copy(cosine_.begin(), cosine_.end(), terms.cosine);
+    const bool straight = points_.empty();
+    View<Sample, 2> lines = to;
+    std::vector<Sample> list;
+    if (!straight) {  // a list of points is one line
+        lines.shape[0] = 1;
+        lines.shape[1] = height_ * width_;
+        if (to.stride[0] == width_ * to.stride[1]) {
+            lines.stride[0] = lines.shape[1];
+            lines.stride[1] = to.stride[1];
+        } else {
+            list.assign(static_cast<std::size_t>(lines.shape[1]), Sample(0));
+            lines = {list.data(), {1, lines.shape[1]}, {lines.shape[1], 1}};
+        }
+    }
+    const Frame frame{straight ? first_.data() : nullptr,
+                      straight ? along_.data() : nullptr,
+                      straight ? nullptr : points_.data(),
+                      mask_.empty() ? nullptr : mask_.data(),
+                      lines.shape[0],
+                      lines.shape[1],
+                      count_};
+    const std::int64_t columns = straight ? count_ : tile_rows * count_, tall = straight ? tile_rows : 1;
+    const double tiles =
+        static_cast<double>((frame.height + tall - 1) / tall * ((frame.width + columns - 1) / columns));
+    for (std::int64_t begin = 0; begin < all; begin += batch) {
+        const std::int64_t count = std::min(batch, all - begin);
+        const Tick tick = [&](std::int64_t done) {
+            const double part = static_cast<double>(count) * std::min(1.0, static_cast<double>(done) / tiles);
+            return !progress_ || progress_((static_cast<double>(begin) + part) / static_cast<double>(all));
+        };
+        const Batch<Sample> traces{from,
+                                   order_.data() + begin,
+                                   start_.data() + begin,
+                                   weights_.empty() ? nullptr : weights_.data() + begin,
+                                   count,
+                                   length_,
+                                   scale};
+        prepare(*kernels_, traces, filter_, table.data(), stride, threads_, {});
+        terms.traces = traces_.data() + begin;
+        terms.n_trace = count;
+        add(*kernels_, terms, frame, lines, threads_, tick);
+    }
+    using value = typename Sample::value_type;
+    for (std::int64_t i = 0; i < height_; ++i) {
+        for (std::int64_t j = 0; j < width_; ++j) {
+            const std::int64_t flat = i * width_ + j;
+            Sample& pixel = to(i, j);
+            if (!list.empty()) pixel = list[static_cast<std::size_t>(flat)];
+            pixel =
+                mask_.empty() || mask_[static_cast<std::size_t>(flat)] ? pixel * static_cast<value>(scale) : Sample(0);
+        }
+    }
+    if (progress_ && !progress_(1)) throw Error(Code::cancelled, "stopped by the caller");
+}
+
+}  // namespace pysas

@@ -1,0 +1,32 @@
+"""What things cost: rough times of the engines' parts, ns on one thread, by which the planner compares its options."""
+
+from pysas.engine import native
+from pysas.scene import Scene
+
+# Numba's cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
+# coefficient of the preparation; a term with its own exact delay
+TERM_NS, PAIR_NS, CACHE_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 0.02, 9.6, 8.0
+# that of C++: lanes, then ns of a term, of one of its coefficients, of a term with its own exact delay, by instruction set
+NATIVE_NS = {
+    "avx512": (16, 0.35, 0.06, 2.5),
+    "avx2": (8, 0.6, 0.085, 4.0),
+    "baseline": (8, 2.6, 0.3, 8.0),
+}
+FILTER_NS = 0.05  # a tap of a filter's coefficient
+
+
+def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: Scene, precision: str) -> float:
+    """Predicted cost of a term, ns."""
+    if backend == "numba":
+        base = TERM_NS if block else EXACT_NS
+        return (base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)) * (
+            1 if precision == "float32" else 2
+        )
+    lanes, term, coefficient, exact = NATIVE_NS[native.isa_name()]
+    wide = 1.0 if precision == "float32" else 2.0
+    if not block:
+        return wide * exact
+    # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
+    span = lanes / wide * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
+    registers = 1 if span < lanes / wide - 1 else 2 if span < 2 * lanes / wide - 1 else 5
+    return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))

@@ -1,0 +1,240 @@
+"""The C library: through ctypes against the oracle and the Python engine, and the C example, built with plain cc."""
+
+import ctypes
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import PLANE, SCENES, far, moving, straight
+
+import pysas
+
+pytestmark = [pytest.mark.cpp, pytest.mark.skipif(sys.platform == "win32", reason="POSIX names and flags")]
+EXAMPLE = Path(__file__).parent.parent / "examples" / "c" / "image.c"
+i64, f64, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+
+class Survey(ctypes.Structure):
+    _fields_ = (
+        [("struct_size", ctypes.c_size_t), ("n_ping", i64), ("n_channel", i64), ("n_sample", i64)]
+        + [(name, f64) for name in ("fs", "fc", "bandwidth", "c", "t0")]
+        + [(name, pointer) for name in ("ping_t0", "tx", "rx", "velocity", "weights", "boresight")]
+        + [("beam_half_angle", f64)]
+    )
+
+
+class Grid(ctypes.Structure):
+    _fields_ = [
+        ("struct_size", ctypes.c_size_t), ("height", i64), ("width", i64), ("first", f64 * 3), ("along", f64 * 3),
+        ("down", f64 * 3), ("points", pointer), ("mask", pointer),
+    ]  # fmt: skip
+
+
+PROGRESS = ctypes.CFUNCTYPE(ctypes.c_int, f64, pointer)
+
+
+class Options(ctypes.Structure):
+    _fields_ = [
+        ("struct_size", ctypes.c_size_t), ("tol", f64), ("dtype", ctypes.c_int32), ("threads", ctypes.c_int32),
+        ("isa", ctypes.c_char_p), ("progress", PROGRESS), ("user", pointer),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def library():
+    found = ctypes.CDLL(pysas.get_library())
+    found.pysas_strerror.restype = ctypes.c_char_p
+    found.pysas_plan_execute.argtypes = [pointer] * 5
+    found.pysas_plan_destroy.argtypes = [pointer]
+    found.pysas_plan_destroy.restype = None
+    return found
+
+
+def structs(echoes, grid, tol, keep, points=False):
+    """The three structs; arrays they point to are kept alive in `keep`."""
+
+    def at(values):
+        if values is None:
+            return None
+        keep.append(np.ascontiguousarray(values))
+        return keep[-1].ctypes.data
+
+    survey = Survey(
+        ctypes.sizeof(Survey), echoes.n_ping, echoes.n_channel, echoes.n_sample, echoes.fs, echoes.fc,
+        echoes.occupied_bandwidth, echoes.c, 0.0, at(echoes.start_time), at(echoes.tx), at(echoes.receivers),
+        at(echoes.receiver_velocity),
+    )  # fmt: skip
+    corner = grid.coordinates(np.array([0, 1, grid.shape[1]]))
+    lines = Grid(ctypes.sizeof(Grid), *grid.shape)
+    lines.first[:], lines.along[:], lines.down[:] = corner[0], corner[1] - corner[0], corner[2] - corner[0]
+    if points:
+        lines.points = at(grid.coordinates())
+    if grid.mask is not None:
+        lines.mask = at(grid.mask)
+    dtype = 0 if echoes.dtype == np.complex64 else 1
+    return survey, lines, Options(ctypes.sizeof(Options), tol, dtype, 2)
+
+
+def image(library, echoes, grid, tol, points=False, change=lambda survey, lines, options: None):
+    keep = []
+    parts = structs(echoes, grid, tol, keep, points)
+    change(*parts)
+    plan = pointer()
+    code = library.pysas_plan_create(*map(ctypes.byref, parts), ctypes.byref(plan))
+    if code:
+        return code
+    out = np.full(grid.shape, np.nan, dtype=echoes.dtype)
+    data = echoes.data
+    step = (i64 * 3)(*(s // data.itemsize for s in data.strides))
+    code = library.pysas_plan_execute(plan, data.ctypes.data, ctypes.cast(step, pointer), out.ctypes.data, None)
+    library.pysas_plan_destroy(plan)
+    return code or out
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name not in ("polar", "surface")])
+def test_tol_is_kept(library, name):
+    make, grid = SCENES[name]
+    echoes = make()
+    pixels = np.random.default_rng(5).choice(grid.size, 250, replace=False)
+    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    for data, tols in ((single, (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)), (echoes, (1e-4, 1e-6, 1e-8))):
+        for tol in tols:
+            found = image(library, data, grid, tol)
+            if isinstance(found, int):  # a record's end too near for so small a tolerance
+                assert found == 2 and tol < 1e-4
+                continue
+            assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= tol
+
+
+@pytest.mark.parametrize("name", ["surface", "polar", "moving"])
+def test_lists_of_points(library, name):
+    make, grid = SCENES[name]
+    echoes = make()
+    found = image(library, echoes, grid, 1e-3, points=True)
+    pixels = np.arange(0, grid.size, 11)
+    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
+
+
+def test_mask_progress_and_cancelling(library):
+    echoes = moving()
+    mask = np.zeros(PLANE.shape, bool)
+    mask[10:30, 5:50] = True
+    grid = pysas.Grid.plane(PLANE.axes["x"], PLANE.axes["y"], mask=mask)
+    found = image(library, echoes, grid, 1e-3)
+    assert np.array_equal(found != 0, mask)
+    shares = []
+
+    @PROGRESS
+    def note(share, user):
+        shares.append(share)
+        return 0
+
+    @PROGRESS
+    def stop(share, user):
+        return 1
+
+    def with_progress(callback):
+        def change(survey, lines, options):
+            options.progress = callback
+
+        return change
+
+    again = image(library, echoes, grid, 1e-3, change=with_progress(note))
+    assert np.array_equal(found, again) and shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    assert image(library, echoes, grid, 1e-3, change=with_progress(stop)) == 4
+
+
+def test_every_isa_and_thread_count(library):
+    echoes = moving()
+    expected = image(library, echoes, PLANE, 1e-4)
+    for threads in (1, 3, 7):
+        found = image(library, echoes, PLANE, 1e-4, change=lambda s, g, o, n=threads: setattr(o, "threads", n))
+        assert np.array_equal(found, expected)
+    for isa in (b"baseline", b"avx2", b"avx512"):
+        found = image(library, echoes, PLANE, 1e-4, change=lambda s, g, o, name=isa: setattr(o, "isa", name))
+        assert isinstance(found, int) and found == 1 or np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value", "code"),
+    [
+        (0, "struct_size", 8, 6), (0, "n_ping", 0, 1), (0, "n_sample", 2**62, 1), (0, "fs", float("nan"), 1), (0, "fc", -1, 1),
+        (0, "c", 0, 1), (0, "bandwidth", 39e3, 1), (0, "tx", None, 1), (0, "t0", float("inf"), 0), (1, "struct_size", 0, 6),
+        (1, "width", -3, 1), (1, "height", 2**60, 1), (2, "tol", 0.5, 2), (2, "tol", 1e-12, 2), (2, "tol", float("nan"), 2),
+        (2, "dtype", 7, 1), (2, "threads", -1, 1), (2, "isa", b"mmx", 1),
+    ],
+)  # fmt: skip
+def test_bad_arguments_are_codes(library, part, field, value, code):
+    def change(*parts):
+        setattr(parts[part], field, value)
+        if field == "t0":
+            parts[0].ping_t0 = None
+
+    found = image(library, straight(8), PLANE, 1e-3, change=change)
+    assert found == (code or 1)
+
+
+def test_null_pointers_and_codes_have_words(library):
+    assert library.pysas_plan_create(None, None, None, None) == 1
+    assert library.pysas_plan_execute(None, None, None, None, None) == 1
+    words = [library.pysas_strerror(code) for code in range(9)]
+    assert len(set(words)) == 9 and words[8] == b"unknown error code"
+
+
+def test_samples_that_are_not_finite(library):
+    data = straight(8).data.copy()
+    data[3, 0, 5] = np.nan
+    assert image(library, straight(8).replace(data=straight(8).data), PLANE, 1e-3) is not None
+    keep = []
+    parts = structs(straight(8), PLANE, 1e-3, keep)
+    plan = pointer()
+    assert library.pysas_plan_create(*map(ctypes.byref, parts), ctypes.byref(plan)) == 0
+    out = np.zeros(PLANE.shape, complex)
+    assert library.pysas_plan_execute(plan, data.ctypes.data, None, out.ctypes.data, None) == 7
+    library.pysas_plan_destroy(plan)
+
+
+@pytest.mark.parametrize("make", [straight, far])
+def test_the_example(tmp_path, make):
+    echoes = make()
+    grid = SCENES["far"][1] if make is far else PLANE
+    program = tmp_path / "image"
+    library = pysas.get_library()
+    command = [
+        "cc",
+        str(EXAMPLE),
+        f"-I{pysas.get_include()}",
+        library,
+        f"-Wl,-rpath,{Path(library).parent}",
+        "-o",
+        str(program),
+    ]
+    subprocess.run([*command, "-Wall", "-Wextra", "-Werror", "-Wno-missing-field-initializers"], check=True)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    raw, out = tmp_path / "raw", tmp_path / "out"
+    raw.write_bytes(single.data.tobytes() + echoes.tx.tobytes() + echoes.receivers.tobytes())
+    x, y = grid.axes["x"], grid.axes["y"]
+    numbers = [
+        *echoes.data.shape,
+        echoes.fs,
+        echoes.fc,
+        echoes.c,
+        echoes.start_time[0],
+        x.size,
+        y.size,
+        x[0],
+        y[0],
+        x[1] - x[0],
+    ]
+    subprocess.run(
+        [str(program), str(raw), str(out), *(repr(float(v)) if v != int(v) else str(int(v)) for v in numbers)], check=True
+    )
+    found = np.frombuffer(out.read_bytes(), np.complex64).reshape(grid.shape)
+    pixels = np.arange(0, grid.size, 13)
+    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
+    assert subprocess.run([str(program)], capture_output=True).returncode == 2
