@@ -2,9 +2,11 @@
 
 PYTHON ?= python
 CSRC = $(shell find csrc -name '*.[ch]pp' -o -name '*.h' -o -name '*.inl')
-SANITIZED = build/sanitize/test_cpu
+CLANGXX ?= clang++
+FUZZ_SECONDS ?= 60
+comma = ,
 
-.PHONY: build test lint types sanitize bench
+.PHONY: build test lint types sanitize tsan fuzz bench bench-quick
 
 build:
 	$(PYTHON) -m pip install '.[dev]'
@@ -20,13 +22,43 @@ lint:
 types:
 	mypy --strict pysas
 
+# the core and its kernels for the sets $(4), compiled with $(1) into build/$(2), and the program of source $(3)
+define core_program
+	mkdir -p build/$(2)
+	for set in $(4); do \
+		case $$set in baseline) flags=;; avx2) flags="-mavx2 -mfma";; \
+			avx512) flags="-mavx512f -mavx512dq -mavx512bw -mavx512vl -mavx2 -mfma -Wno-uninitialized -Wno-maybe-uninitialized";; esac; \
+		$(1) $(STRICT) $$flags -c csrc/isa/$$set.cpp -o build/$(2)/$$set.o & pids="$$pids $$!"; \
+	done; for pid in $$pids; do wait $$pid || exit 1; done
+	$(1) $(STRICT) $(if $(findstring avx2,$(4)),-DPYSAS_HAVE_AVX2) $(if $(findstring avx512,$(4)),-DPYSAS_HAVE_AVX512) csrc/tests/$(3).cpp csrc/core/*.cpp build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
+endef
+STRICT = -std=c++17 -g -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra -Werror -Icsrc -Icsrc/include
+
 sanitize:
-	mkdir -p $(dir $(SANITIZED))
-	$(CXX) -std=c++17 -O1 -g -Wall -Wextra -Wpedantic -Wconversion -Werror -fsanitize=address,undefined \
-		-fno-sanitize-recover=all -fno-omit-frame-pointer -Icsrc csrc/tests/test_cpu.cpp csrc/core/*.cpp -o $(SANITIZED)
-	$(SANITIZED)
+	mkdir -p build/sanitize
+	$(CXX) $(STRICT) -O1 -Wpedantic -Wconversion -fsanitize=address,undefined -fno-sanitize-recover=all \
+		csrc/tests/test_cpu.cpp csrc/core/cpu.cpp -o build/sanitize/test_cpu
+	build/sanitize/test_cpu
+	$(call core_program,$(CXX) -O1 -fsanitize=address$(comma)undefined -fno-sanitize-recover=all,sanitize,test_core,baseline avx2 avx512)
+	build/sanitize/test_core
+
+tsan:
+	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=thread,tsan,test_core,baseline)
+	build/tsan/test_core
+
+fuzz:
+	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=fuzzer-no-link$(comma)address$(comma)undefined -fno-sanitize-recover=all,fuzz,fuzz_c_api,baseline avx512,-fsanitize=fuzzer)
+	mkdir -p build/fuzz/corpus
+	build/fuzz/fuzz_c_api -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -timeout=20 -rss_limit_mb=4096 -print_final_stats=1 build/fuzz/corpus \
+		> build/fuzz/log 2>&1 || { tail -40 build/fuzz/log; exit 1; }
+	tail -8 build/fuzz/log
 
 # from a folder that holds bench/ and no pysas/, so that the installed package is measured and not the sources beside it
+in_bench = mkdir -p build/bench && ln -sfn ../../bench build/bench/bench && cd build/bench && $(PYTHON)
+
 bench:
-	mkdir -p build/bench && ln -sfn ../../bench build/bench/bench
-	cd build/bench && $(PYTHON) -m bench.backprojection --quick
+	$(in_bench) -m bench.backprojection --readme ../../README.md
+
+bench-quick:
+	$(in_bench) -m bench.backprojection --quick
+	$(in_bench) -m pytest bench -p no:cacheprovider -q -k "64 or 128" --benchmark-columns=median,iqr,rounds

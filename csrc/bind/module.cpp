@@ -43,13 +43,8 @@ View<T, N> view(const py::array& array) {
     if (array.ndim() != N || !py::isinstance<py::array_t<std::remove_const_t<T>>>(array)) {
         throw py::type_error("array of the wrong dtype or number of axes");
     }
-    View<T, N> out;
-    out.data = const_cast<T*>(static_cast<const T*>(array.data()));
-    for (int axis = 0; axis < N; ++axis) {
-        out.shape[axis] = array.shape(axis);
-        out.stride[axis] = array.strides(axis) / array.itemsize();
-    }
-    return out;
+    T* const data = const_cast<T*>(static_cast<const T*>(array.data()));
+    return View<T, N>::of_bytes(data, array.shape(), array.strides());
 }
 
 template <typename T>
@@ -70,8 +65,8 @@ Tick ticker(const py::object& tick) {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-py::tuple design_filter(double band, int degree, int phases, int step, double error, int most, bool low_pass) {
-    const Filter filter = design(band, degree, phases, step, error, most, low_pass);
+py::tuple design_filter(double band, int degree, int phases, int step, double error, int most) {
+    const Filter filter = design(band, degree, phases, step, error, 8, most, false);
     py::array_t<double> weight({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
     py::array_t<std::int64_t> first(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
     return py::make_tuple(weight, first, filter.error);
@@ -189,7 +184,7 @@ PYBIND11_MODULE(_core, m) {
     m.def("plane_stride", &plane_stride, "intervals"_a, "degree"_a, "real"_a,
           "Reals from one plane of a table to the next.");
     m.def("intervals", &intervals_of, "length"_a, "rate"_a, "Intervals of a table over `length` samples.");
-    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "most"_a, "low_pass"_a,
+    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "most"_a,
           "Filter weights (phase, tap, power), first taps and measured error.");
     m.def("peaks", &trace_peaks, "data"_a, "threads"_a, "tick"_a,
           "Largest real or imaginary part of every trace; not finite where the trace is not.");

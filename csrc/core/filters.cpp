@@ -126,9 +126,9 @@ Filter make(double band, int degree, int phases, int step, int taps, bool low_pa
 
 }  // namespace
 
-Filter design(double band, int degree, int phases, int step, double error, int most, bool low_pass) {
-    // twice the error of an endless filter cannot be mended by more taps: stop where doubling gains nothing
-    int taps = low_pass ? 64 : 8;
+Filter design(double band, int degree, int phases, int step, double error, int least, int most, bool low_pass) {
+    // what the polynomials lack cannot be mended by more taps: stop where they gain nothing
+    int taps = least;
     Filter best = make(band, degree, phases, step, taps, low_pass);
     while (best.error > error && taps < most) {
         taps = low_pass ? taps * 3 / 2 / 2 * 2 : taps + 4;

@@ -259,6 +259,11 @@ void Plan::choose(double tol) {
     const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
     constexpr int rates[][2] = {{1, 1}, {3, 2}, {2, 1}, {5, 2},  {3, 1}, {4, 1},
                                 {5, 1}, {6, 1}, {8, 1}, {11, 1}, {16, 1}};
+    int least = 8, longest = 400;
+    if (ends) {
+        // how long W's response must be hardly depends on the polynomials: ask once, with ones that are no limit
+        least = longest = design(band_, narrow_ ? 7 : 9, 2, 1, 0.3 * tol, 64, 2048, true).taps;
+    }
     double cheapest = std::numeric_limits<double>::infinity();
     const std::vector<int> degrees = narrow_ ? std::vector<int>{1, 2, 3, 4, 5, 7} : std::vector<int>{3, 5, 7, 9};
     for (const int degree : degrees) {
@@ -267,7 +272,7 @@ void Plan::choose(double tol) {
             if (std::pow(theta, degree + 1) / std::tgamma(degree + 2.0) / std::pow(2.0, degree) > 0.9 * tol) continue;
             const double cost = (degree + 7) * (1 + 0.05 * rate[0] / rate[1]);
             if (cost >= cheapest) break;
-            Filter filter = design(band_, degree, rate[0], rate[1], 0.6 * tol, ends ? 2048 : 400, ends);
+            Filter filter = design(band_, degree, rate[0], rate[1], 0.6 * tol, least, longest, ends);
             if (filter.error > 0.6 * tol) continue;
             cheapest = cost;
             filter_ = std::move(filter);

@@ -22,7 +22,7 @@ def intervals(length: int, rate: float) -> int:
     """Intervals of a table over `length` samples."""
 
 def design(
-    band: float, degree: int, phases: int, step: int, error: float, most: int, low_pass: bool
+    band: float, degree: int, phases: int, step: int, error: float, most: int
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
     """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
 

@@ -85,7 +85,7 @@ class Filter:
 @functools.lru_cache(maxsize=256)
 def design(band: float, degree: int, phases: int, step: int, error: float, most: int) -> Filter:
     """A filter that reads components |f| <= band (units of fs) with at most `error`; look at its own `error`."""
-    weight, first, reached = core().design(band, degree, phases, step, error, most, False)
+    weight, first, reached = core().design(band, degree, phases, step, error, most)
     return Filter(weight, first, step, reached)
 
 

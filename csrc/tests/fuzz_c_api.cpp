@@ -1,0 +1,115 @@
+// libFuzzer on the C ABI: random geometry, shapes, strides and options; whatever comes in, a code comes out. `make
+// fuzz`.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "pysas.h"
+
+namespace {
+
+struct Bytes {
+    const std::uint8_t* data;
+    std::size_t size;
+
+    std::uint8_t byte() {
+        if (size == 0) return 0;
+        --size;
+        return *data++;
+    }
+    // mostly sensible, at times anything a double can be
+    double number(double low, double high) {
+        const std::uint8_t kind = byte();
+        if (kind < 250) return low + (high - low) * (byte() + kind / 250.0) / 256;
+        const double odd[] = {
+            0, -1, 1e300, -1e300, std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()};
+        return odd[kind - 250];
+    }
+    std::int64_t count(int most) {
+        const std::uint8_t kind = byte();
+        if (kind < 252) return 1 + kind % most;
+        const std::int64_t odd[] = {0, -1, std::int64_t{1} << 62, std::numeric_limits<std::int64_t>::min()};
+        return odd[kind - 252];
+    }
+};
+
+std::int64_t clipped(std::int64_t n) { return std::clamp<std::int64_t>(n, 0, 200); }
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+    Bytes in{data, size};
+    pysas_survey survey{};
+    pysas_grid grid{};
+    pysas_options options{};
+    survey.struct_size = in.byte() < 250 ? sizeof survey : in.byte();
+    grid.struct_size = in.byte() < 250 ? sizeof grid : in.byte();
+    options.struct_size = in.byte() < 250 ? sizeof options : in.byte();
+    survey.n_ping = in.count(6);
+    survey.n_channel = in.count(3);
+    survey.n_sample = in.count(200);
+    grid.height = in.count(40);
+    grid.width = in.count(70);
+    const double scale = std::pow(10.0, in.number(-2, 3));
+    survey.fs = in.number(1e3, 1e5);
+    survey.fc = in.number(1e3, 1e6);
+    survey.bandwidth = in.byte() % 2 ? 0 : survey.fs / in.number(1, 4);
+    survey.c = in.number(300, 3000);
+    survey.t0 = in.number(-0.001, 2 * scale / 1500);
+    const auto fill = [&](std::int64_t n, double low, double high) {
+        std::vector<double> out(static_cast<std::size_t>(n));
+        for (double& value : out) value = in.number(low, high);
+        return out;
+    };
+    const std::int64_t pings = clipped(survey.n_ping), traces = pings * clipped(survey.n_channel);
+    const std::int64_t pixels = clipped(grid.height) * clipped(grid.width);
+    const auto tx = fill(3 * pings, -scale, scale), rx = fill(3 * traces, -scale, scale);
+    const auto velocity = fill(3 * traces, -10, 10), weights = fill(traces, -2, 2),
+               t0 = fill(pings, 0, 2 * scale / 1500);
+    const auto boresight = fill(3 * pings, -1, 1), points = fill(in.byte() % 4 ? 0 : 3 * pixels, -scale, scale);
+    survey.tx = tx.data();
+    survey.rx = rx.data();
+    const std::uint8_t parts = in.byte();
+    survey.velocity = parts & 1 ? velocity.data() : nullptr;
+    survey.weights = parts & 2 ? weights.data() : nullptr;
+    survey.ping_t0 = parts & 4 ? t0.data() : nullptr;
+    survey.boresight = parts & 8 ? boresight.data() : nullptr;
+    survey.beam_half_angle = in.number(0, 4);
+    for (double* vector : {grid.first, grid.along, grid.down}) {
+        const double reach = vector == grid.first ? scale : scale / 50;
+        for (int axis = 0; axis < 3; ++axis) vector[axis] = in.number(-reach, reach);
+    }
+    grid.points = points.empty() ? nullptr : points.data();
+    std::vector<std::uint8_t> mask(static_cast<std::size_t>(pixels));
+    for (auto& wanted : mask) wanted = in.byte() % 3;
+    grid.mask = parts & 16 ? mask.data() : nullptr;
+    options.tol = std::pow(10.0, in.number(-7, -1));
+    options.dtype = in.byte() % 16 ? in.byte() % 2 : in.byte();
+    options.threads = 1 + in.byte() % 2;
+    const char* sets[] = {nullptr, "baseline", "avx2", "avx512", "mmx"};
+    options.isa = sets[in.byte() % 5];
+
+    pysas_plan* plan = nullptr;
+    if (pysas_plan_create(&survey, &grid, &options, &plan) != PYSAS_OK) return 0;
+    // samples and image with gaps, read and written with strides
+    const std::int64_t gap = 1 + in.byte() % 2, n = survey.n_sample;
+    const std::int64_t from[3] = {survey.n_channel * n * gap, n * gap, gap}, to[2] = {grid.width * gap, gap};
+    const std::size_t item = options.dtype == PYSAS_COMPLEX64 ? 8 : 16;
+    std::vector<std::uint8_t> samples(static_cast<std::size_t>(traces * n * gap) * item),
+        image(static_cast<std::size_t>(pixels * gap) * item);
+    for (std::size_t i = 0; i + 4 <= samples.size(); i += 4) {
+        const float value = static_cast<float>(in.byte()) - 100;
+        const double wide = value;
+        if (item == 8)
+            std::memcpy(&samples[i], &value, 4);
+        else if (i % 8 == 0)
+            std::memcpy(&samples[i], &wide, 8);
+    }
+    pysas_plan_execute(plan, samples.data(), from, image.data(), to);
+    pysas_plan_destroy(plan);
+    return 0;
+}
