@@ -68,9 +68,13 @@ def reals(name: str, value: Any, shapes: Sequence[tuple[int | str, ...]], labels
 
 
 def array_like(name: str, value: Any) -> npt.NDArray[Any]:
-    """Return `value` as an array of any dtype, not copied where it is one."""
+    """Return `value` as an array of any dtype, not copied where it is one, or shows one (DLPack on the CPU included)."""
     try:
+        if hasattr(value, "__dlpack__") and not hasattr(value, "__array_interface__"):
+            value = np.from_dlpack(value)
         return np.asarray(value)
+    except (BufferError, RuntimeError) as error:
+        raise TypeError(f"{name}: expected an array in this machine's memory: {error}") from None
     except ValueError:
         raise ValueError(f"{name}: expected an array, found sequences of unequal lengths") from None
 

@@ -7,6 +7,7 @@ planner.py, arithmetic in engine/.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +77,56 @@ def backproject(
         _check_out(out, grid, echoes.dtype)
     plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
     return plan(echoes.data, out, progress)
+
+
+def backproject_arrays(
+    data: Any,
+    pixels: Any,
+    *,
+    fs: float,
+    fc: float,
+    tx: Any,
+    rx: Any,
+    c: float = 1500.0,
+    t0: Any = 0.0,
+    velocity: Any = None,
+    bandwidth: float | None = None,
+    weights: npt.ArrayLike | None = None,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    out: ComplexArray | None = None,
+) -> ComplexArray:
+    """`backproject` for other people's programs: plain arrays in, the image's array out.
+
+    Parameters
+    ----------
+    data : (ping, channel, sample) or (ping, sample) complex array
+        Range-compressed samples, as in `Echoes`; anything with `__array_interface__`, `__dlpack__` on the CPU, or the
+        buffer protocol, read where it lies.
+    pixels : (..., 3) array
+        Pixels, m. Where the last but one axis runs along even lines, as in a regular image, the fast path is taken.
+    fs, fc, tx, rx, c, t0, velocity, bandwidth
+        As in `Echoes`.
+    weights, tol, threads, backend
+        As in `backproject`.
+    out : complex array of shape pixels.shape[:-1], optional
+        Filled in place and returned.
+
+    Returns
+    -------
+    complex array of shape pixels.shape[:-1]
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Echoes`, `Grid.points` and `backproject` do.
+    """
+    echoes = Echoes(
+        _checks.array_like("data", data), fs=fs, fc=fc, tx=tx, rx=rx, c=c, t0=t0, velocity=velocity, bandwidth=bandwidth
+    )  # fmt: skip
+    grid = Grid.points(_checks.array_like("pixels", pixels))
+    return backproject(echoes, grid, tol, threads, backend, weights, out=out).data
 
 
 def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexfloating]) -> None:
@@ -158,7 +209,7 @@ def execute(
         method="backprojection", tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
         prepare_seconds=totals.prepare_seconds, sum_seconds=totals.sum_seconds, terms=totals.terms,
         share_left_out=1 - totals.terms / everything, predicted_error=choices.predicted_error,
-        choices=planner.as_report(choices), notes=tuple(notes),
+        choices=dict(plan.reported), notes=tuple(notes),
     )  # fmt: skip
     return Image(image, grid, report, scene.fc, scene.c)
 

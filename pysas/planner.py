@@ -378,6 +378,7 @@ class Plan:
         self.grid, self.scene, self.nan = grid, scene, nan
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
         self.frame = backprojection.Frame(grid, scene.origin, choices.block)
+        self.reported = dataclasses.asdict(choices)
         self.reader = backprojection.reader_of(choices, scene.band)
         if not scene.heard.any():
             warnings.warn(scene.why_silent(), stacklevel=4)
@@ -472,8 +473,3 @@ class Plan:
         lines += [f"    - {text}" for used, text in rows if used]
         lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
         return "\n".join(lines)
-
-
-def as_report(choices: Choices) -> dict[str, Any]:
-    """The choices as plain types."""
-    return dataclasses.asdict(choices)

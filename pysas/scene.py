@@ -90,6 +90,8 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray] | None:
 
     Even means to 1e-9 of the line's length plus the rounding of large coordinates; the deviation adds to the phase error.
     """
+    if grid.kind == "points":
+        return _lines_of(grid.coords) if grid.coords is not None and grid.coords.ndim > 2 else None
     name = {"plane": "x", "volume": "x", "polar": "r"}.get(grid.kind)
     if name is None:
         return None
@@ -102,6 +104,19 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray] | None:
     first = grid.coordinates(np.arange(number) * axis.size)
     last = grid.coordinates(np.arange(number) * axis.size + axis.size - 1)
     return first, (last - first) / max(axis.size - 1, 1)
+
+
+def _lines_of(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """The same of points (..., pixel, 3) that happen to lie on such lines, row by row: no copy of the grid."""
+    rows = points.reshape(-1, points.shape[-2], 3)
+    number = rows.shape[1]
+    share = np.linspace(0, 1, number)[:, None] if number > 1 else np.zeros((1, 1))
+    first, along = rows[:, 0], rows[:, -1] - rows[:, 0]
+    large = 1e-15 * float(np.max(np.abs(points)))
+    for row, begin, span in zip(rows, first, along, strict=True):
+        if np.max(np.abs(row - begin - share * span)) > 1e-9 * float(np.linalg.norm(span)) + large:
+            return None
+    return first.copy(), along / max(number - 1, 1)
 
 
 def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:

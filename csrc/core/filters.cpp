@@ -58,7 +58,7 @@ void monomials(const std::vector<double>& at, std::vector<double>& values) {
 }
 
 double measure(const Filter& filter, double band, bool low_pass) {
-    const int steps = low_pass ? 144 : 16, places = 2 * filter.degree + 3;
+    const int steps = low_pass ? 80 : 16, places = 2 * filter.degree + 3;
     const double end = low_pass ? 1 / 2.2 : band;
     double worst = 0;
     for (int phase = 0; phase < filter.phases; ++phase) {
@@ -66,7 +66,7 @@ double measure(const Filter& filter, double band, bool low_pass) {
         const double middle = (phase + 0.5) * filter.step / filter.phases;
         for (int i = 0; i <= steps; ++i) {
             // the kernel is real: -f is as wrong as f. W's edge is where it is hardest to follow
-            const double f = i <= 16 ? end * i / 16 : end + (0.5 - end) * (i - 16) / 128;
+            const double f = i <= 16 ? end * i / 16 : end + (0.5 - end) * (i - 16) / 64;
             std::vector<std::complex<double>> response(static_cast<std::size_t>(filter.degree) + 1);
             auto turn = std::polar(1.0, 2 * pi * f * (static_cast<double>(filter.first[ph]) - middle));
             const auto next = std::polar(1.0, 2 * pi * f);

@@ -119,6 +119,16 @@ class Frame(Protocol):
     def points(self, begin: int, end: int) -> FloatArray: ...
 
 
+@functools.cache
+def _nodes(count: int) -> tuple[FloatArray, FloatArray]:
+    """Chebyshev nodes in [-1, 1] and the matrix from values there to coefficients of powers, in the kernels' 7 x 7."""
+    nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
+    nodes[count // 2] = 0.0
+    fit = np.zeros((7, 7))
+    fit[:count, :count] = np.linalg.inv(np.vander(nodes, increasing=True))
+    return nodes, fit
+
+
 def peaks(data: ComplexArray, threads: int) -> FloatArray:
     """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
     if not _plain(data):
@@ -160,11 +170,7 @@ def accumulate(
     samples = reader.length if reader.cut is None else 2 * reader.length - 1
     stride = engine.plane_stride(engine.intervals(samples, filter.rate), filter.degree, kind.itemsize)
     table = np.empty((min(batch, len(order)), 2 * (filter.degree + 1), stride), dtype=kind)
-    count = NODES[kind.name]
-    nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
-    nodes[count // 2] = 0.0
-    fit = np.zeros((7, 7))
-    fit[:count, :count] = np.linalg.inv(np.vander(nodes, increasing=True))
+    nodes, fit = _nodes(NODES[kind.name])
     plain = _plain(traces)
     prepared = summed = 0.0
     terms = 0
