@@ -313,13 +313,14 @@ def _choose_delay(scene: Scene, tol: float, nodes: int, single: bool) -> tuple[i
     offset from the block's centre, up to `turns` at its ends, rounds three times: rms eps turns/2 over the block.
     """
     wave = scene.fc / scene.c
+    uneven = 4 * np.pi * wave * scene.uneven  # a pixel off its line is off by as much on both ways
     eps = 2.0**-24 if single else 2.0**-53
     best: tuple[int, float, dict[str, float]] = (0, 0.0, {})
     for block in (64, 48, 32, 16):
         count = _even_split(scene.line_length, block)
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
-        rounding = np.pi * turns * eps + 4 * eps
+        rounding = np.pi * turns * eps + 4 * eps + uneven
         if rounding > 3 * SHARE_PHASE * tol:
             continue
         near = 2 * half

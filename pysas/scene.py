@@ -53,11 +53,11 @@ class Scene:
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
-        self.step = 0.0
+        self.step = self.uneven = 0.0
         found = lines(grid)
         if found is not None:
             self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
-            self.line_length = grid.shape[-1]
+            self.line_length, self.uneven = grid.shape[-1], found[2]
             self.slope = _slope(found, self.origin, tx, rx, self.line_length)
 
     def why_silent(self) -> str:
@@ -85,8 +85,8 @@ def _weights(weights: npt.ArrayLike | None, pings: int, channels: int) -> Comple
     return np.broadcast_to(full, (pings, channels)).reshape(-1)
 
 
-def lines(grid: Grid) -> tuple[FloatArray, FloatArray] | None:
-    """First pixel and step (line, 3) of the grid's last axis, if that is evenly spaced lines; else None.
+def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
+    """First pixel and step (line, 3) of the grid's last axis, if that is evenly spaced lines, and how far (m) off; else None.
 
     Even means to 1e-9 of the line's length plus the rounding of large coordinates; the deviation adds to the phase error.
     """
@@ -96,27 +96,29 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray] | None:
     if name is None:
         return None
     axis = grid.axes[name]
-    if axis.size > 1:
-        even = np.linspace(axis[0], axis[-1], axis.size)
-        if np.max(np.abs(axis - even)) > 1e-9 * abs(axis[-1] - axis[0]) + 4e-16 * np.max(np.abs(axis)):
-            return None
+    wrong = float(np.max(np.abs(axis - np.linspace(axis[0], axis[-1], axis.size))))
+    if wrong > 1e-9 * abs(axis[-1] - axis[0]) + 4e-16 * np.max(np.abs(axis)):
+        return None
     number = int(np.prod(grid.shape[:-1]))
     first = grid.coordinates(np.arange(number) * axis.size)
     last = grid.coordinates(np.arange(number) * axis.size + axis.size - 1)
-    return first, (last - first) / max(axis.size - 1, 1)
+    return first, (last - first) / max(axis.size - 1, 1), wrong
 
 
-def _lines_of(points: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _lines_of(points: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     """The same of points (..., pixel, 3) that happen to lie on such lines, row by row: no copy of the grid."""
     rows = points.reshape(-1, points.shape[-2], 3)
     number = rows.shape[1]
     share = np.linspace(0, 1, number)[:, None] if number > 1 else np.zeros((1, 1))
     first, along = rows[:, 0], rows[:, -1] - rows[:, 0]
     large = 1e-15 * float(np.max(np.abs(points)))
+    worst = 0.0
     for row, begin, span in zip(rows, first, along, strict=True):
-        if np.max(np.abs(row - begin - share * span)) > 1e-9 * float(np.linalg.norm(span)) + large:
+        wrong = float(np.max(np.linalg.norm(row - begin - share * span, axis=1)))
+        if wrong > 1e-9 * float(np.linalg.norm(span)) + large:
             return None
-    return first.copy(), along / max(number - 1, 1)
+        worst = max(worst, wrong)
+    return first.copy(), along / max(number - 1, 1), worst
 
 
 def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
@@ -138,11 +140,13 @@ def _distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[F
     return least, np.linalg.norm(points - far, axis=1)
 
 
-def _slope(found: tuple[FloatArray, FloatArray], origin: FloatArray, tx: FloatArray, rx: FloatArray, count: int) -> float:
+def _slope(
+    found: tuple[FloatArray, FloatArray, float], origin: FloatArray, tx: FloatArray, rx: FloatArray, count: int
+) -> float:
     """Largest share of a step along a line that changes the one-way range, over traces and the lines' ends (plus 10 %)."""
     if count == 1:
         return 0.0
-    first, step = found
+    first, step, _ = found
     some = np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int))
     worst = 0.0
     for i in some:

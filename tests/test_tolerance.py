@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import SCENES
+from scenes import SCENES, straight
 
 import pysas
 from pysas.engine import native
@@ -88,3 +88,17 @@ def test_options_keep_tol(engine):
         image = pysas.backproject(echoes, grid, tol, weights=weights, backend=engine)
         assert pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level) <= tol
         assert not image.data[~mask].any()
+
+
+def test_coordinates_of_a_map_projection(engine):
+    """Eastings of 5e6 m are rounded to 1e-9 m: no even line goes through them closely enough for 1e-9."""
+    echoes = straight(24)
+    away = np.array([5e6, 4e5, 0.0])
+    echoes = echoes.replace(tx=echoes.tx + away, rx=echoes.rx + away)
+    grid = pysas.Grid.plane(5e6 + np.arange(70) * 0.02, 4e5 + 20 + np.arange(40) * 0.02)
+    pixels = np.arange(0, grid.size, 11)
+    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    for tol in (1e-3, 1e-7, 1e-9):
+        image = pysas.backproject(echoes, grid, tol, backend=engine)
+        assert image.report.predicted_error <= tol
+        assert pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level) <= tol
