@@ -26,9 +26,7 @@ types:
 define core_program
 	mkdir -p build/$(2)
 	for set in $(4); do \
-		case $$set in baseline) flags=;; avx2) flags="-mavx2 -mfma";; \
-			avx512) flags="-mavx512f -mavx512dq -mavx512bw -mavx512vl -mavx2 -mfma -Wno-uninitialized -Wno-maybe-uninitialized";; esac; \
-		$(1) $(STRICT) $$flags -c csrc/isa/$$set.cpp -o build/$(2)/$$set.o & pids="$$pids $$!"; \
+		$(1) $(STRICT) $$(cat csrc/isa/$$set.flags 2>/dev/null) -c csrc/isa/$$set.cpp -o build/$(2)/$$set.o & pids="$$pids $$!"; \
 	done; for pid in $$pids; do wait $$pid || exit 1; done
 	$(1) $(STRICT) $(if $(findstring avx2,$(4)),-DPYSAS_HAVE_AVX2) $(if $(findstring avx512,$(4)),-DPYSAS_HAVE_AVX512) csrc/tests/$(3).cpp csrc/core/*.cpp build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
 endef
@@ -49,7 +47,7 @@ tsan:
 fuzz:
 	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=fuzzer-no-link$(comma)address$(comma)undefined -fno-sanitize-recover=all,fuzz,fuzz_c_api,baseline avx512,-fsanitize=fuzzer)
 	mkdir -p build/fuzz/corpus
-	build/fuzz/fuzz_c_api -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -timeout=20 -rss_limit_mb=4096 -print_final_stats=1 build/fuzz/corpus \
+	build/fuzz/fuzz_c_api -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -timeout=20 -rss_limit_mb=4096 -print_final_stats=1 -artifact_prefix=build/fuzz/ build/fuzz/corpus \
 		> build/fuzz/log 2>&1 || { tail -40 build/fuzz/log; exit 1; }
 	tail -8 build/fuzz/log
 
@@ -61,4 +59,4 @@ bench:
 
 bench-quick:
 	$(in_bench) -m bench.backprojection --quick
-	$(in_bench) -m pytest bench -p no:cacheprovider -q -k "64 or 128" --benchmark-columns=median,iqr,rounds
+	$(in_bench) -m pytest bench -p no:cacheprovider -q -k complex128 --benchmark-columns=median,iqr,rounds

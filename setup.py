@@ -26,12 +26,8 @@ if WINDOWS:
 else:
     # contraction off: every fused multiply-add is written as one, so that compilers cannot make results differ
     FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
-    # GCC 12 warns of its own intrinsics' undefined operands
-    quiet = ["-Wno-uninitialized", "-Wno-maybe-uninitialized"]
-    SETS = {
-        "avx2": ["-mavx2", "-mfma"],
-        "avx512": ["-mavx512f", "-mavx512dq", "-mavx512bw", "-mavx512vl", "-mavx2", "-mfma", *quiet],
-    }
+    # the Makefile reads them too; GCC 12 warns of its own AVX-512 intrinsics' undefined operands
+    SETS = {name: Path(f"csrc/isa/{name}.flags").read_text(encoding="utf-8").split() for name in ("avx2", "avx512")}
     LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
 
 CORE = sorted(str(path) for path in Path("csrc/core").glob("*.cpp"))

@@ -19,7 +19,7 @@ from pysas.engine import BLOCK, native, preparation, summation
 from pysas.engine.summation import Survey, Tile
 from pysas.grid import Grid
 from pysas.image import Image, Report
-from pysas.scene import lines
+from pysas.scene import Scene
 
 
 def backproject(
@@ -122,11 +122,8 @@ def backproject_arrays(
     ValueError, TypeError
         As `Echoes`, `Grid.points` and `backproject` do.
     """
-    echoes = Echoes(
-        _checks.array_like("data", data), fs=fs, fc=fc, tx=tx, rx=rx, c=c, t0=t0, velocity=velocity, bandwidth=bandwidth
-    )  # fmt: skip
-    grid = Grid.points(_checks.array_like("pixels", pixels))
-    return backproject(echoes, grid, tol, threads, backend, weights, out=out).data
+    echoes = Echoes(data, fs=fs, fc=fc, tx=tx, rx=rx, c=c, t0=t0, velocity=velocity, bandwidth=bandwidth)
+    return backproject(echoes, Grid.points(pixels), tol, threads, backend, weights, out=out).data
 
 
 def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexfloating]) -> None:
@@ -255,12 +252,12 @@ def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator
 class Frame:
     """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels."""
 
-    def __init__(self, grid: Grid, origin: FloatArray, block: int) -> None:
-        self.grid, self.origin = grid, origin
-        found = lines(grid) if block else None
+    def __init__(self, grid: Grid, scene: Scene, block: int) -> None:
+        self.grid, self.origin = grid, scene.origin
+        found = scene.lines if block else None
         self.straight = found is not None
         if found is not None:
-            self.first, self.step = found[0] - origin, found[1]
+            self.first, self.step = found[0] - scene.origin, found[1]
             self.shape = (len(self.first), grid.shape[-1])
             self.count = block
         else:

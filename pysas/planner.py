@@ -217,7 +217,7 @@ def _choose(scene: Scene, tol: float, backend: str = "numba") -> Choices:
     single = scene.dtype == np.complex64 or tol >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
-    polynomials = scene.straight and (single or backend == "cpp")
+    polynomials = scene.lines is not None and (single or backend == "cpp")
     block, near, errors = _choose_delay(scene, tol, nodes, single) if polynomials else (0, 0.0, {})
     if single and not block:
         errors["rounding"] = 2.0**-22
@@ -378,7 +378,7 @@ class Plan:
         self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
         self.grid, self.scene, self.nan = grid, scene, nan
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
-        self.frame = backprojection.Frame(grid, scene.origin, choices.block)
+        self.frame = backprojection.Frame(grid, scene, choices.block)
         self.reported = dataclasses.asdict(choices)
         self.reader = backprojection.reader_of(choices, scene.band)
         if not scene.heard.any():

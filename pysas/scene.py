@@ -20,7 +20,7 @@ class Scene:
         self.band = echoes.occupied_bandwidth / 2 / echoes.fs
         pings, channels = echoes.n_ping, echoes.n_channel
         self.traces = pings * channels
-        self.straight = lines(grid) is not None
+        self.lines = found = lines(grid)
         low, high = _box(grid)
         self.origin = (low + high) / 2
         low, high = low - self.origin, high - self.origin
@@ -54,7 +54,6 @@ class Scene:
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
         self.step = self.uneven = 0.0
-        found = lines(grid)
         if found is not None:
             self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
             self.line_length, self.uneven = grid.shape[-1], found[2]

@@ -54,10 +54,10 @@ const T* pointer(const std::optional<py::array_t<T>>& array) {
 
 // Progress and Ctrl-C: runs in the calling thread, which does not hold the GIL.
 Tick ticker(const py::object& tick) {
-    return [&tick](std::int64_t done) {
+    return [&tick](double share) {
         const py::gil_scoped_acquire gil;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-        if (!tick.is_none()) tick(done);
+        if (!tick.is_none()) tick(share);
         return true;
     };
 }

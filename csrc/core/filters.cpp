@@ -5,13 +5,14 @@
 
 #include "core/filters.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <complex>
 
+#include "core/polynomials.hpp"
+
 namespace pysas {
 namespace {
-
-constexpr double pi = 3.14159265358979323846;
 
 double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(pi * x) / (pi * x); }
 
@@ -39,22 +40,12 @@ double low_pass_response(double time) {
     return sum * sinc(sum * time) * bell;
 }
 
-// From values at the degree + 1 Chebyshev nodes of [-1/2, 1/2] to coefficients of 1, t, t^2, ...
+// The degree + 1 Chebyshev nodes of [-1/2, 1/2].
 std::vector<double> node_places(int degree) {
     std::vector<double> at(static_cast<std::size_t>(degree) + 1);
     for (int j = 0; j <= degree; ++j)
         at[static_cast<std::size_t>(j)] = -0.5 * std::cos(pi * (2 * j + 1) / (2 * (degree + 1)));
     return at;
-}
-
-void monomials(const std::vector<double>& at, std::vector<double>& values) {
-    const auto n = at.size();
-    for (std::size_t level = 1; level < n; ++level) {  // Newton's divided differences
-        for (std::size_t j = n - 1; j >= level; --j) values[j] = (values[j] - values[j - 1]) / (at[j] - at[j - level]);
-    }
-    for (std::size_t j = n - 1; j-- > 0;) {
-        for (std::size_t q = j; q + 1 < n; ++q) values[q] -= at[j] * values[q + 1];
-    }
 }
 
 double measure(const Filter& filter, double band, bool low_pass) {

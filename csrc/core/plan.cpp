@@ -8,11 +8,11 @@
 
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
+#include "core/polynomials.hpp"
 
 namespace pysas {
 namespace {
 
-constexpr double pi = 3.14159265358979323846;
 constexpr std::int64_t most = std::int64_t{1} << 40;  // of any one size, and of their products
 
 [[noreturn]] void refuse(const std::string& text) { throw Error(Code::argument, text); }
@@ -40,19 +40,13 @@ double fit(std::vector<double>& out, int count, const std::function<double(doubl
         at.push_back(0.125L - 0.125L * std::cos(static_cast<long double>(pi) * (2 * j + 1) / (2 * count)));
         values.push_back(f(static_cast<double>(at.back())));
     }
-    const auto n = at.size();
-    for (std::size_t level = 1; level < n; ++level) {
-        for (std::size_t j = n - 1; j >= level; --j) values[j] = (values[j] - values[j - 1]) / (at[j] - at[j - level]);
-    }
-    for (std::size_t j = n - 1; j-- > 0;) {
-        for (std::size_t q = j; q + 1 < n; ++q) values[q] -= at[j] * values[q + 1];
-    }
+    monomials(at, values);
     out.assign(values.begin(), values.end());
     double worst = 0;
     for (int i = 0; i <= 400; ++i) {
         const double q = 0.25 * i / 400;
         double sum = 0;
-        for (std::size_t j = n; j-- > 0;) sum = sum * q + out[j];
+        for (std::size_t j = out.size(); j-- > 0;) sum = sum * q + out[j];
         worst = std::max(worst, std::abs(sum - f(q)) * scale(q));
     }
     return worst;
@@ -230,16 +224,12 @@ void Plan::choose(double tol) {
     nodes_.count = narrow_ ? 5 : 7;
     const int n = nodes_.count;
     for (int j = 0; j < n; ++j) nodes_.at[j] = j == n / 2 ? 0.0 : -std::cos(pi * (2 * j + 1) / (2 * n));
-    for (int j = 0; j < n; ++j) {  // column j: Lagrange's polynomial of node j
-        double row[max_nodes] = {1};
-        int degree = 0;
-        for (int i = 0; i < n; ++i) {
-            if (i == j) continue;
-            const double scale = 1 / (nodes_.at[j] - nodes_.at[i]);
-            for (int q = ++degree; q > 0; --q) row[q] = (row[q - 1] - nodes_.at[i] * row[q]) * scale;
-            row[0] *= -nodes_.at[i] * scale;
-        }
-        for (int q = 0; q < n; ++q) nodes_.fit[q][j] = row[q];
+    const std::vector<long double> places(nodes_.at, nodes_.at + n);
+    for (int j = 0; j < n; ++j) {  // column j: the polynomial that is 1 at node j and 0 at the others
+        std::vector<long double> column(places.size());
+        column[static_cast<std::size_t>(j)] = 1;
+        monomials(places, column);
+        for (int q = 0; q < n; ++q) nodes_.fit[q][j] = static_cast<double>(column[static_cast<std::size_t>(q)]);
     }
     model_.near = std::numeric_limits<double>::infinity();
     const double wave = model_.fc / model_.c;
@@ -352,14 +342,11 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
                       lines.shape[0],
                       lines.shape[1],
                       count_};
-    const std::int64_t columns = straight ? count_ : tile_rows * count_, tall = straight ? tile_rows : 1;
-    const double tiles =
-        static_cast<double>((frame.height + tall - 1) / tall * ((frame.width + columns - 1) / columns));
     for (std::int64_t begin = 0; begin < all; begin += batch) {
         const std::int64_t count = std::min(batch, all - begin);
-        const Tick tick = [&](std::int64_t done) {
-            const double part = static_cast<double>(count) * std::min(1.0, static_cast<double>(done) / tiles);
-            return !progress_ || progress_((static_cast<double>(begin) + part) / static_cast<double>(all));
+        const Tick tick = [&](double share) {
+            const double done = static_cast<double>(begin) + share * static_cast<double>(count);
+            return !progress_ || progress_(done / static_cast<double>(all));
         };
         const Batch<Sample> traces{from,
                                    order_.data() + begin,

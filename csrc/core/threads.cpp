@@ -53,7 +53,8 @@ void run(std::int64_t count, int threads, const std::function<void(std::int64_t)
         auto last = clock::now();
         while (step()) {
             if (!tick || clock::now() - last < std::chrono::milliseconds(50)) continue;
-            if (!tick(done)) throw Error(Code::cancelled, "stopped by the caller");
+            if (!tick(static_cast<double>(done) / static_cast<double>(count)))
+                throw Error(Code::cancelled, "stopped by the caller");
             last = clock::now();
         }
     } catch (...) {

@@ -6,8 +6,8 @@
 
 namespace pysas {
 
-// Called from the calling thread, at most every 0.05 s, with the number of tasks done; false asks to stop.
-using Tick = std::function<bool(std::int64_t)>;
+// Called from the calling thread, at most every 0.05 s, with the share of tasks done; false asks to stop.
+using Tick = std::function<bool(double)>;
 
 // Call body(0) ... body(count - 1), in order of a shared counter, on `threads` threads, the calling one among them. The
 // first exception of a task ends the others after their current task and is thrown here; a tick that returns false

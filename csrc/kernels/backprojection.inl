@@ -88,6 +88,14 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     return D::largest(span);
 }
 
+// Add (re + j im)(cosine + j sine) to a vector of pixels.
+template <class V>
+void add_turned(typename V::vec re, typename V::vec im, typename V::vec sine, typename V::vec cosine,
+                typename V::real* to_re, typename V::real* to_im) {
+    V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
+    V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+}
+
 // Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1].
 template <class V, int N, int D, int T, int W>
 void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
@@ -128,10 +136,7 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             phase(V::load(cycles + s * V::n), sine, cosine);
             read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
                           V::load(position + s * V::n), re, im);
-            real* to_re = all_re + r * block + s * V::n;
-            real* to_im = all_im + r * block + s * V::n;
-            V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
-            V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+            add_turned<V>(re, im, sine, cosine, all_re + r * block + s * V::n, all_im + r * block + s * V::n);
         }
     }
 }
@@ -193,10 +198,7 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, const Trace& trace
         const auto w = V::load(weight + m);
         re = V::mul(re, w);
         im = V::mul(im, w);
-        real* to_re = tile.re + r * block + m;
-        real* to_im = tile.im + r * block + m;
-        V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
-        V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+        add_turned<V>(re, im, sine, cosine, tile.re + r * block + m, tile.im + r * block + m);
     }
     return static_cast<std::int64_t>(W::total(counted));
 }

@@ -11,23 +11,14 @@
 
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
-#include "core/filters.hpp"
+#include "core/polynomials.hpp"
 #include "core/threads.hpp"
 #include "pysas.h"
+#include "tests/check.hpp"
 
 namespace {
 
-int failures = 0;
-
-#define CHECK(condition)                                                                 \
-    do {                                                                                 \
-        if (!(condition)) {                                                              \
-            std::fprintf(stderr, "%s:%d: failed: %s\n", __FILE__, __LINE__, #condition); \
-            ++failures;                                                                  \
-        }                                                                                \
-    } while (false)
-
-constexpr double pi = 3.14159265358979323846;
+constexpr double pi = pysas::pi;
 
 void every_task_runs_once() {
     for (const int threads : {1, 2, 5}) {

@@ -7,18 +7,9 @@
 #include <initializer_list>
 
 #include "core/cpu.hpp"
+#include "tests/check.hpp"
 
 namespace {
-
-int failures = 0;
-
-#define CHECK(condition)                                                                 \
-    do {                                                                                 \
-        if (!(condition)) {                                                              \
-            std::fprintf(stderr, "%s:%d: failed: %s\n", __FILE__, __LINE__, #condition); \
-            ++failures;                                                                  \
-        }                                                                                \
-    } while (false)
 
 constexpr std::uint32_t fma = 1u << 12, osxsave = 1u << 27, avx = 1u << 28;
 constexpr std::uint32_t avx2 = 1u << 5;

@@ -26,7 +26,7 @@ def design(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
     """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
 
-def peaks(data: npt.NDArray[Any], threads: int, tick: Callable[[int], object] | None) -> npt.NDArray[np.float64]:
+def peaks(data: npt.NDArray[Any], threads: int, tick: Callable[[float], object] | None) -> npt.NDArray[np.float64]:
     """Largest real or imaginary part of every trace of (ping, channel, sample); not finite where the trace is not."""
 
 def prepare(
@@ -42,7 +42,7 @@ def prepare(
     table: npt.NDArray[Any],
     threads: int,
     isa: str,
-    tick: Callable[[int], object] | None,
+    tick: Callable[[float], object] | None,
 ) -> None:
     """Fill `table` (trace, plane, plane_stride) from the samples of traces `order`."""
 
@@ -64,6 +64,6 @@ def add(
     image: npt.NDArray[Any],
     threads: int,
     isa: str,
-    tick: Callable[[int], object] | None,
+    tick: Callable[[float], object] | None,
 ) -> int:
     """Add a batch's terms to `image` (line, pixel); returns how many."""

@@ -201,17 +201,16 @@ def accumulate(
             _low_passed(traces, part, start, weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
-        height, width = frame.shape
+        width = frame.shape[1]
         slabs = [(0, width)] if frame.straight else [(lo, min(lo + SLAB, width)) for lo in range(0, width, SLAB)]
         for number, (lo, hi) in enumerate(slabs):
-            share = ((begin + part.size * number / len(slabs)) / len(order), part.size / len(order) / len(slabs))
+            done, more = (begin + part.size * number / len(slabs)) / len(order), part.size / len(slabs) / len(order)
             tick = None
             if progress is not None:
-                tiles = -(-height // 32) * -(-width // frame.count) if frame.straight else -(-(hi - lo) // (32 * frame.count))
 
-                def tick(done: int, share: tuple[float, float] = share, tiles: int = tiles) -> None:
+                def tick(share: float, done: float = done, more: float = more) -> None:
                     assert progress is not None
-                    progress(share[0] + share[1] * min(done / tiles, 1.0))
+                    progress(done + more * share)
 
             points = None if frame.straight else frame.points(lo, hi)
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
