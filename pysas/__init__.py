@@ -5,6 +5,7 @@ from pysas.backprojection import backproject, backproject_arrays
 from pysas.compression import compress
 from pysas.echoes import Beam, Echoes
 from pysas.engine import get_include, get_library, show_config
+from pysas.factorised import ffbp
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.io import load, save
@@ -16,7 +17,7 @@ from pysas.simulation import simulate
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "compress",
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "compress", "ffbp",
     "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot", "reference", "save",
     "show_config", "simulate", "tracks",
 ]  # fmt: skip

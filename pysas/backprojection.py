@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, engine, planner
+from pysas import _checks, engine, factorised, planner, plans
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
@@ -73,8 +73,7 @@ def backproject(
     O(pings channels pixels) after O(pings channels samples log samples); memory beyond input and image about 25 MB.
     A grid wholly outside the recorded window warns and returns zeros.
     """
-    if isinstance(echoes, Echoes) and isinstance(grid, Grid):
-        _check_out(out, grid, echoes.dtype)
+    check_out_of(out, echoes, grid)
     plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
     return plan(echoes.data, out, progress)
 
@@ -126,6 +125,12 @@ def backproject_arrays(
     return backproject(echoes, Grid.points(pixels), tol, threads, backend, weights, out=out).data
 
 
+def check_out_of(out: ComplexArray | None, echoes: Any, grid: Any) -> None:
+    """Check `out` before any work, where what it must fit is what it should be."""
+    if isinstance(echoes, Echoes) and isinstance(grid, Grid):
+        _check_out(out, grid, echoes.dtype)
+
+
 def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexfloating]) -> None:
     if out is None:
         return
@@ -138,9 +143,7 @@ def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexf
         raise ValueError("out: expected a writeable array, found a read-only one")
 
 
-def execute(
-    plan: planner.Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None
-) -> Image:
+def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None) -> Image:
     """Carry out `plan` on `data`; what `Plan.__call__` does."""
     scene, choices, grid = plan.scene, plan.choices, plan.grid
     samples = _checks.samples("data", data, (2, 3))
@@ -152,6 +155,8 @@ def execute(
     image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else out
     image[...] = 0
     notes = [] if scene.heard.any() else [scene.why_silent()]
+    if plan.why_direct:
+        notes.append(f"summed directly: {plan.why_direct}")
 
     cpp = plan.backend == "cpp"
     peaks = (native.peaks if cpp else summation.peaks)(samples, plan.threads)
@@ -177,22 +182,26 @@ def execute(
     isa = engine.isa(plan.backend)
     if order.size:
         frame, reader = plan.frame, plan.reader
-        survey = _survey(plan, order)
         trigonometry = planner.trigonometry(choices.trigonometry)[0]
         flat = _as_lines(image, frame.shape)
         target = np.zeros(frame.shape, dtype=plan.dtype) if flat is None else flat
         real = np.dtype(choices.precision)
-        if cpp:
+        if plan.forest is not None:
+            totals = factorised.accumulate(
+                plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, planner.trigonometry(6)[0], target,
+                isa, progress,
+            )  # fmt: skip
+        elif cpp:
             assert isinstance(reader, native.Reader)
             totals = native.accumulate(
-                samples, order, survey, reader, scale, frame, trigonometry, real, choices.batch, target,
+                samples, order, _survey(plan, order), reader, scale, frame, trigonometry, real, choices.batch, target,
                 plan.threads, isa, progress,
             )  # fmt: skip
         else:
             assert isinstance(reader, preparation.Interpolator)
             totals = summation.accumulate(
-                samples, order, survey, reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count, trigonometry,
-                real, choices.batch, target, plan.threads, progress,
+                samples, order, _survey(plan, order), reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count,
+                trigonometry, real, choices.batch, target, plan.threads, progress,
             )  # fmt: skip
         target *= scale
         if flat is None:
@@ -203,9 +212,10 @@ def execute(
         progress(1.0)
     everything = scene.traces * grid.size
     report = Report(
-        method="backprojection", tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
+        method=plan.method, tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
         prepare_seconds=totals.prepare_seconds, sum_seconds=totals.sum_seconds, terms=totals.terms,
-        share_left_out=1 - totals.terms / everything, predicted_error=choices.predicted_error,
+        share_left_out=1 - totals.terms / everything,
+        factorised_share=plan.forest.share if plan.forest is not None else 0.0, predicted_error=choices.predicted_error,
         choices=dict(plan.reported), notes=tuple(notes),
     )  # fmt: skip
     return Image(image, grid, report, scene.fc, scene.c)
@@ -218,7 +228,7 @@ def _as_lines(image: ComplexArray, shape: tuple[int, int]) -> ComplexArray | Non
     return image if image.shape == shape and all(step % image.itemsize == 0 for step in image.strides) else None
 
 
-def _survey(plan: planner.Plan, order: npt.NDArray[np.int64]) -> Survey:
+def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     """The geometry of traces `order` as the kernels take it."""
     scene, choices = plan.scene, plan.choices
     geometry = scene.geometry[order]

@@ -30,3 +30,18 @@ def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: S
     span = lanes / wide * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
     registers = 1 if span < lanes / wide - 1 else 2 if span < 2 * lanes / wide - 1 else 5
     return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))
+
+
+# a tree, ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
+# two with what each tap adds
+TREE_NS = {
+    "avx512": (0.9, 5.0, (1.0, 0.7), (9.0, 1.2)),
+    "avx2": (1.3, 6.0, (1.5, 1.1), (9.0, 1.2)),
+    "baseline": (3.5, 20.0, (10.0, 4.0), (10.0, 20.0)),
+}
+
+
+def tree_ns(width: int, isa: str) -> tuple[float, float, float, float]:
+    """Predicted cost of a leaf's term, of a leaf's node, of a parent's node a child, and of a pixel read, ns."""
+    term, node, merge, read = TREE_NS[isa]
+    return term, node, merge[0] + merge[1] * width, read[0] + read[1] * width

@@ -7,11 +7,10 @@ the same geometry. `print(plan)` and `plan.explain()` say what was chosen and wh
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import math
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,13 +19,14 @@ import numpy.typing as npt
 import scipy.fft
 from numpy.polynomial import Chebyshev, Polynomial
 
-from pysas import _checks, engine
-from pysas._checks import ComplexArray, FloatArray
+from pysas import _checks, engine, factorised, layouts
+from pysas._checks import FloatArray
 from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
 from pysas.echoes import Echoes
-from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, summation
+from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, tree
+from pysas.factorised import Forest, Layout
 from pysas.grid import Grid
-from pysas.image import Image
+from pysas.plans import Plan
 from pysas.scene import Scene
 
 # Tables made by `python -m bench.interpolation_table`: THETA[degree][i] for errors 10^-(1 + i/2), GUARD[i] likewise.
@@ -56,13 +56,24 @@ THETA = {
 GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642, 1018, 1625, 2572, 4070, 6447, 10213, 16193, 25657, 40675, 64460)
 # fmt: on
 
-METHODS = ("auto", "backprojection")
+METHODS = ("auto", "backprojection", "ffbp")
 SHARE_INTERPOLATION = 0.85
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 ROWS = 32
 BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
+# of tol, where sums go through a tree: for the sums of its leaves; what the rest may cost is the tree's
+SHARE_LEAVES = 0.35
+SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
+TREE_TOL = 3e-5  # below it float32 sub-images would round too much
+# width, rate and half length of the filters that a tree may use, cheapest first
+TAPS = (
+    (4, 1.5, 4), (4, 1.75, 4), (4, 2.0, 4), (6, 1.4, 8), (6, 1.5, 8), (6, 1.6, 8), (6, 1.75, 6), (8, 1.5, 10), (8, 1.6, 10),
+    (8, 1.75, 10),
+)  # fmt: skip
+SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band overlaps a little
+FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
 
 
 @dataclass(frozen=True)
@@ -154,6 +165,7 @@ def plan(
     backend: str = "auto",
     weights: npt.ArrayLike | None = None,
     nan: str = "raise",
+    fallback: bool = True,
 ) -> Plan:
     """Choose how to image any data of this geometry on `grid` with relative error `tol`.
 
@@ -165,7 +177,8 @@ def plan(
     tol : float
         Relative error: ||I - I_exact|| <= tol max(||I_exact||, ||R||) over the grid, R the incoherent level. complex64:
         1e-1 to 1e-5; complex128: down to max(1e-10, 1e-14 range/wavelength).
-    method : {"auto", "backprojection"}
+    method : {"auto", "backprojection", "ffbp"}
+        "auto" is back-projection.
     threads : int, optional
         Default: PYSAS_NUM_THREADS, else all processors. The image does not depend on it.
     backend : {"auto", "numba", "cpp"}
@@ -173,6 +186,8 @@ def plan(
         Real or complex factors of the terms; 0 leaves a trace out.
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
+    fallback : bool
+        With "ffbp": whether what cannot be factorised, or not within `tol`, is summed directly; an error otherwise.
 
     Returns
     -------
@@ -200,7 +215,13 @@ def plan(
     tol = _checks.number("tol", tol, positive=True)
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
-    return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), _checks.threads(threads), name, nan)
+    count = _checks.threads(threads)
+    if method != "ffbp":
+        return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), count, name, nan)
+    forest, why = _plant(scene, grid, tol, name, fallback)
+    if forest is None:
+        return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), count, name, nan, "ffbp", None, why)
+    return Plan(echoes, grid, tol, forest.scene, forest.choices, count, name, nan, "ffbp", forest)
 
 
 def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
@@ -212,13 +233,13 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
         raise ValueError(f"tol={tol:g}: {echoes.dtype} data over {scene.farthest:.4g} m reach {least:.3g} at best{hint}")
 
 
-def _choose(scene: Scene, tol: float, backend: str = "numba") -> Choices:
+def _choose(scene: Scene, tol: float, backend: str = "numba", rounding: float = 3 * SHARE_PHASE) -> Choices:
     """The cheapest settings whose bounds sum to at most tol."""
     single = scene.dtype == np.complex64 or tol >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
     polynomials = scene.lines is not None and (single or backend == "cpp")
-    block, near, errors = _choose_delay(scene, tol, nodes, single) if polynomials else (0, 0.0, {})
+    block, near, errors = _choose_delay(scene, tol, nodes, single, rounding) if polynomials else (0, 0.0, {})
     if single and not block:
         errors["rounding"] = 2.0**-22
     least = 2.0**-23 if single else 1e-14
@@ -305,12 +326,15 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
     )  # fmt: skip
 
 
-def _choose_delay(scene: Scene, tol: float, nodes: int, single: bool) -> tuple[int, float, dict[str, float]]:
+def _choose_delay(
+    scene: Scene, tol: float, nodes: int, single: bool, share: float = 3 * SHARE_PHASE
+) -> tuple[int, float, dict[str, float]]:
     """Block length and the distance from which its delay polynomial holds; 0 where only exact delays keep tol.
 
     sqrt(r^2 + 2 r u s + s^2) has Taylor coefficients |a_n| <= 2/((2n - 1) r^(n-1)) (Legendre's generating function), so the
     polynomial through n Chebyshev nodes of |s| <= h is wrong by at most 2 h^n/((2n - 1) 2^(n-1) r^(n-1)), for each way. The
-    offset from the block's centre, up to `turns` at its ends, rounds three times: rms eps turns/2 over the block.
+    offset from the block's centre, up to `turns` at its ends, rounds three times: rms eps turns/2 over the block, which may
+    take `share` of tol.
     """
     wave = scene.fc / scene.c
     uneven = 4 * np.pi * wave * scene.uneven  # a pixel off its line is off by as much on both ways
@@ -321,7 +345,7 @@ def _choose_delay(scene: Scene, tol: float, nodes: int, single: bool) -> tuple[i
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
         rounding = np.pi * turns * eps + 4 * eps + uneven
-        if rounding > 3 * SHARE_PHASE * tol:
+        if rounding > share * tol:
             continue
         near = 2 * half
         if half > 0:
@@ -361,116 +385,82 @@ def _crop(scene: Scene, tol: float) -> tuple[int, int, int, float]:
     return (needed, margin + taper, taper, float(beta)) if needed < 0.9 * scene.n_sample else (scene.n_sample, 0, 0, 0.0)
 
 
-class Plan:
-    """How to image a geometry: call it with data shaped like the echoes' it was made from.
+def _plant(scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool) -> tuple[Forest | None, str]:
+    """A tree for each of the longest groups, or None and why all is summed directly; an error where that is forbidden."""
+    forest, why = _forest(scene, grid, tol, backend, not fallback)
+    if forest is not None and fallback and forest.seconds > _direct_seconds(scene, tol, backend):
+        forest, why = None, "a tree would take longer"
+    if not fallback and (forest is None or forest.share < 1):
+        if forest is not None:
+            near = "pixels near the track or across the ends of records or beams"
+            why = f"{100 * (1 - forest.share):.3g} % of the terms, {near}"
+        raise ValueError(f"fallback=False, tol={tol:g}: expected all terms to go through the tree, found: {why}")
+    return forest, why
 
-    Attributes
-    ----------
-    choices : Choices
-    tol : float
+
+def _direct_seconds(scene: Scene, tol: float, backend: str) -> float:
+    c = _choose(scene, tol, backend)
+    return scene.traces * scene.pixels * 1e-9 * term_ns(c.block, c.degree, c.oversampling, backend, scene, c.precision)
+
+
+def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
+    from pysas import backprojection
+
+    if backend != "cpp":
+        return None, "the Numba engine has no tree: all terms"
+    if scene.lines is None:
+        return None, "pixels on no even lines: all terms"
+    if tol < TREE_TOL * (1 - 1e-9):
+        return None, f"tol below {TREE_TOL:g}: all terms"
+    if not scene.heard.any():
+        return None, "the grid lies outside the recorded window: all terms"
+    # delay polynomials must hold along the image's lines and along the leaves' rays, whose nodes are as dense as the band asks
+    share = SHARE_LEAVES * tol
+    node = scene.c / (2 * 2 * scene.band * scene.fs * 1.33)
+    sums = copy.copy(scene)
+    sums.step, sums.slope, sums.line_length = max(scene.step, node), 1.0, max(scene.line_length, 64)
+    block, near, _ = _choose_delay(sums, share, native.NODES["float32"], True, SHARE_ROUNDING)
+    if not block:
+        return None, "pixels too coarse for float32 blocks: all terms"
+    frame = backprojection.Frame(grid, scene, _even_split(scene.line_length, block))
+    best: tuple[float, Layout] | None = None
+    for fans in FANS:
+        stages = len(fans) + 1
+        for width, rate, half in TAPS:
+            taps = tree.taps(width, rate, half)
+            if _tree_error(taps, stages) <= tol - share - 0.05 * tol:
+                break
+        else:
+            continue
+        for length in layouts.lengths(scene, frame):
+            layout = Layout(length, fans, taps, SPARE)
+            cost = layouts.seconds(scene, frame, layout)
+            if best is None or cost < best[0]:
+                best = (cost, layout)
+    if best is None:
+        return None, "no interpolation keeps tol: all terms"
+    layout = best[1]
+    forest = factorised.grow(scene, frame, frame.mask, layout, near)
+    while whole and forest is not None and forest.share < 1 and layout.length > best[1].length / 8:
+        layout = dataclasses.replace(layout, length=layout.length * 0.7)
+        forest = factorised.grow(scene, frame, frame.mask, layout, near)
+    if forest is None or not any(t.read.any() for t in forest.trees):
+        return None, "no pixel far enough from all groups of pings: all terms"
+    forest.seconds = best[0]
+    sums.first, sums.last = forest.scene.first, forest.scene.last
+    grown = [t.subtree.levels[0] for t in forest.trees if t.subtree is not None]
+    sums.slope = max(scene.step * scene.slope, forest.step) / sums.step  # along rays range changes with every node
+    sums.pixels = max(1, sum(level.nodes for level in grown) // sum(len(level) for level in grown))
+    choices = _choose(sums, share, backend, SHARE_ROUNDING)
+    errors = choices.errors | {"sub-images": _tree_error(best[1].taps, len(best[1].fans) + 1)}
+    forest.choices = dataclasses.replace(choices, block=min(choices.block, block), errors=errors)
+    return forest, ""
+
+
+def _tree_error(taps: tree.Taps, stages: int) -> float:
+    """Bound of a tree's interpolation: along rays the band's worst frequency, across them the mean over a group's pings.
+
+    A stage's error of a component depends on where between nodes it is read, and stages read at unrelated places: they add
+    as squares. 1.2 is the margin of the tolerance sweep.
     """
-
-    def __init__(
-        self, echoes: Echoes, grid: Grid, tol: float, scene: Scene, choices: Choices, threads: int, backend: str, nan: str
-    ) -> None:
-        from pysas import backprojection
-
-        self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
-        self.grid, self.scene, self.nan = grid, scene, nan
-        self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
-        self.frame = backprojection.Frame(grid, scene, choices.block)
-        self.reported = dataclasses.asdict(choices)
-        self.reader = backprojection.reader_of(choices, scene.band)
-        if not scene.heard.any():
-            warnings.warn(scene.why_silent(), stacklevel=4)
-
-    def __call__(
-        self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None
-    ) -> Image:
-        """Image `data`.
-
-        Parameters
-        ----------
-        data : array of the echoes' shape and dtype
-        out : complex array of grid.shape, optional
-            Written in place and returned as the image's data.
-        progress : callable, optional
-            Called from this thread with the share done, 0 to 1.
-
-        Returns
-        -------
-        Image
-
-        Raises
-        ------
-        ValueError, TypeError
-            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise".
-
-        Notes
-        -----
-        O(traces (pixels + n_fft log n_fft)); memory beyond input and output: one batch of coefficients, about 25 MB.
-        """
-        from pysas import backprojection
-
-        return backprojection.execute(self, data, out, progress)
-
-    def __str__(self) -> str:
-        c, scene = self.choices, self.scene
-        shape = " x ".join(map(str, self.grid.shape))
-        delay = f"polynomials over {c.block} pixels, exact below {c.near:.3g} m" if c.block else "exact per pixel"
-        kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
-        made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
-        return "\n".join(
-            [
-                f"Plan: backprojection of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
-                f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
-                f"  traces         {kept}, {', '.join(made)}",
-                f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
-                f"  delay          {c.delay}, {delay}",
-                f"  terms          {scene.traces * scene.pixels:.4g} at most",
-                f"  predicted      error {c.predicted_error:.2g}, time {self.predicted_seconds:.2g} s, "
-                f"memory {self.predicted_memory / 2**20:.0f} MB beyond the input",
-            ]
-        )
-
-    @property
-    def predicted_seconds(self) -> float:
-        """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
-        c, scene = self.choices, self.scene
-        term = term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
-        traces = int(np.count_nonzero(scene.heard))
-        made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
-        return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads
-
-    @property
-    def predicted_memory(self) -> int:
-        """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
-        c = self.choices
-        item = 8 if c.precision == "float32" else 16
-        work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
-        if c.n_fft:
-            work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
-        if self.backend == "cpp" and not c.block:
-            work += 24 * min(native.SLAB, self.grid.size)
-        return int(self.grid.size * self.dtype.itemsize + work)
-
-    def explain(self) -> str:
-        """What the scene has, what was left out and the share of work saved, and where the error goes."""
-        c, scene = self.choices, self.scene
-        lines = [str(self), "  left out"]
-        silent = scene.traces - int(np.count_nonzero(scene.heard))
-        saved = 1 - c.length / scene.n_sample
-        masked = 1 - scene.pixels / self.grid.size
-        rows = [
-            (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
-            (scene.kind != MOVING, "receivers' motion within the ping: no velocity"),
-            (scene.weights is None, "weights: none given"),
-            (scene.cos_beam <= -1, "beam: none given"),
-            (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
-            (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),
-            (silent > 0, f"{silent} of {scene.traces} traces: no pixel within their window"),
-            (masked > 0, f"{100 * masked:.0f} % of the pixels: masked"),
-        ]
-        lines += [f"    - {text}" for used, text in rows if used]
-        lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
-        return "\n".join(lines)
+    return 1.2 * math.sqrt(stages) * math.hypot(taps.worst, taps.rms)

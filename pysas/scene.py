@@ -19,7 +19,7 @@ class Scene:
         self.n_sample, self.dtype = echoes.n_sample, echoes.dtype
         self.band = echoes.occupied_bandwidth / 2 / echoes.fs
         pings, channels = echoes.n_ping, echoes.n_channel
-        self.traces = pings * channels
+        self.traces, self.channels = pings * channels, channels
         self.lines = found = lines(grid)
         low, high = _box(grid)
         self.origin = (low + high) / 2

@@ -95,7 +95,11 @@ def test_extension_is_what_its_stub_says() -> None:
     # names of functions and arguments: how pybind11 spells arrays' types is its own affair
     stub = ast.parse(importlib.resources.files("pysas").joinpath("engine", "_core.pyi").read_text())
     expected = {node.name: [a.arg for a in node.args.args] for node in stub.body if isinstance(node, ast.FunctionDef)}
-    functions = {name: value for name, value in vars(_core).items() if callable(value) and not name.startswith("_")}
+    public = {name: value for name, value in vars(_core).items() if callable(value) and not name.startswith("_")}
+    functions = {name: value for name, value in public.items() if not isinstance(value, type)}
+    initialisers = {n.name: [a.arg for a in n.body[-1].args.args[1:]] for n in stub.body if isinstance(n, ast.ClassDef)}
+    made = {name: value.__init__.__doc__.splitlines()[0] for name, value in public.items() if isinstance(value, type)}
+    assert {name: re.findall(r"[(,] ?(\w+): ", text)[1:] for name, text in made.items()} == initialisers
     found = {name: re.findall(r"[(,] ?(\w+): ", value.__doc__.splitlines()[0]) for name, value in functions.items()}
     assert found == expected
 

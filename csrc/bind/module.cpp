@@ -14,6 +14,7 @@
 
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
+#include "core/factorised.hpp"
 #include "core/filters.hpp"
 #include "core/summation.hpp"
 
@@ -162,6 +163,99 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
     return call(float(), std::complex<double>());
 }
 
+// See pysas.engine.tree.SubImages for what the rows hold.
+std::vector<SubImage> images_of(const Array<double>& place, const Array<std::int64_t>& shape,
+                                const Array<std::int32_t>& range, Array<float>& store) {
+    if (place.ndim() != 2 || shape.ndim() != 2 || place.shape(0) != shape.shape(0))
+        throw py::value_error("sub-images: rows of places and shapes");
+    return sub_images(place.data(), shape.data(), place.shape(0), range.data(), range.size(), store.mutable_data(),
+                      store.size());
+}
+
+struct TreeOf {
+    Taps taps{};
+    Tree tree{};
+    TreeOf(const Array<float>& even, const Array<float>& odd, const Array<float>& tap, const Array<float>& filter,
+           double wave, const std::vector<double>& sine, const std::vector<double>& cosine, const Array<double>& nodes,
+           const Array<double>& fit) {
+        taps = make_taps(static_cast<int>(2 * even.shape(0)), even.data(), odd.data(), tap.data(), filter.data(),
+                         static_cast<int>(filter.size()) - 1);
+        tree.taps = &taps;
+        tree.wave = wave;
+        std::copy(sine.begin(), sine.end(), tree.sine);
+        std::copy(cosine.begin(), cosine.end(), tree.cosine);
+        tree.nodes.count = 5;
+        std::copy_n(nodes.data(), 5, tree.nodes.at);
+        std::copy_n(fit.data(), max_nodes * max_nodes, &tree.nodes.fit[0][0]);
+    }
+    TreeOf(const TreeOf&) = delete;
+};
+
+void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, const std::vector<double>& sine,
+                 const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model, int kind,
+                 const Array<std::int64_t>& span, const Array<double>& place, const Array<std::int64_t>& shape,
+                 const Array<std::int32_t>& range, Array<float> store, int count, bool smooth, int threads,
+                 const std::string& isa, const py::object& tick) {
+    const Kernels& kernels = kernels_for(isa);
+    const Tick check = ticker(tick);
+    const auto images = images_of(place, shape, range, store);
+    Terms<float> terms{};
+    const auto tables = view<const float, 3>(table);
+    terms.table = tables.data;
+    terms.trace_stride = tables.stride[0];
+    terms.plane_stride = tables.stride[1];
+    terms.degree = degree;
+    terms.trig = static_cast<int>(sine.size());
+    std::copy(sine.begin(), sine.end(), terms.sine);
+    std::copy(cosine.begin(), cosine.end(), terms.cosine);
+    terms.traces = reinterpret_cast<const Trace*>(geometry.data());
+    terms.n_trace = geometry.shape(0);
+    terms.model = *reinterpret_cast<const Model*>(model.data());
+    terms.kind = static_cast<Kind>(kind);
+    terms.nodes = tree.tree.nodes;
+    const std::int64_t* spans = span.data();
+    const py::gil_scoped_release gil;
+    leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), count, smooth,
+           threads, check);
+}
+
+void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const Array<double>& child_place,
+                      const Array<std::int64_t>& child_shape, const Array<std::int32_t>& child_range,
+                      Array<float> child_store, const Array<double>& place, const Array<std::int64_t>& shape,
+                      const Array<std::int32_t>& range, Array<float> store, bool smooth, int threads,
+                      const std::string& isa, const py::object& tick) {
+    const Kernels& kernels = kernels_for(isa);
+    const Tick check = ticker(tick);
+    const auto children = images_of(child_place, child_shape, child_range, child_store);
+    const auto images = images_of(place, shape, range, store);
+    const std::int64_t* spans = span.data();
+    const py::gil_scoped_release gil;
+    merge(kernels, tree.tree, children.data(), spans, images.data(), static_cast<std::int64_t>(images.size()), smooth,
+          threads, check);
+}
+
+void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<std::int64_t>& shape,
+                    const Array<std::int32_t>& range, Array<float> store, const Array<double>& first,
+                    const Array<double>& step, const std::optional<py::array_t<bool>>& mask, int count,
+                    const Array<std::uint8_t>& wanted, const py::array& image, int threads, const std::string& isa,
+                    const py::object& tick) {
+    const Kernels& kernels = kernels_for(isa);
+    const Tick check = ticker(tick);
+    const auto from = images_of(place, shape, range, store);
+    const auto call = [&](auto pixel) {
+        const auto to = view<decltype(pixel), 2>(image);
+        const Frame frame{
+            first.data(), step.data(), nullptr, mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
+            to.shape[0],  to.shape[1], count};
+        const py::gil_scoped_release gil;
+        read(kernels, tree.tree, from[0], frame, wanted.data(), to, threads, check);
+    };
+    if (image.itemsize() == 8)
+        call(std::complex<float>());
+    else
+        call(std::complex<double>());
+}
+
 std::string isa_of(const std::string& name) { return kernels_for(name).name; }
 
 void translate(std::exception_ptr pointer) {
@@ -190,6 +284,19 @@ PYBIND11_MODULE(_core, m) {
           "Largest real or imaginary part of every trace; not finite where the trace is not.");
     m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "weight"_a, "first"_a,
           "step"_a, "length"_a, "table"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the tables of a batch of traces.");
+    py::class_<TreeOf>(m, "Tree", "Interpolation and carrier that all steps of a tree share.")
+        .def(py::init<const Array<float>&, const Array<float>&, const Array<float>&, const Array<float>&, double,
+                      const std::vector<double>&, const std::vector<double>&, const Array<double>&,
+                      const Array<double>&>(),
+             "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
+    m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a,
+          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "count"_a, "smooth"_a, "threads"_a, "isa"_a,
+          "tick"_a, "Fill the sub-images of groups of traces.");
+    m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
+          "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "smooth"_a, "threads"_a, "isa"_a, "tick"_a,
+          "Fill sub-images from their children's.");
+    m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a, "mask"_a,
+          "count"_a, "wanted"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a,
           "Add a batch's terms to an image; returns how many.");

@@ -83,12 +83,75 @@ struct FilterJob {
     std::int64_t plane_stride;
 };
 
+// A sub-image: what a group of pings makes of the plane z = `plane`, its carrier about `centre` taken away, at the
+// nodes (i0 + m) step along rays angle0 + r dangle from the centre's foot. Filtered across its rays, and along them
+// where pixels are read from it: a parent's ray crosses its children's, so that merging filters after it has changed
+// rays. A ray's nodes range[2 r] to range[2 r + 1] are summed, the rest of its row is not. Real parts at re + r stride
+// + m.
+struct SubImage {
+    double centre[3], plane, angle0, dangle, step;
+    std::int64_t i0, rays, stride;
+    float *re, *im;
+    const std::int32_t* range;
+};
+
+constexpr int max_taps = 8;        // of the interpolation of sub-images
+constexpr int max_bend = 8;        // highest power of a tap's polynomial
+constexpr int max_smoothing = 16;  // half length of the filter that undoes the taps' own smoothing
+
+// Interpolation between nodes: tap t of a place x in [-1/2, 1/2] from the middle of its interval is a polynomial of
+// degree taps; of taps p and taps - 1 - p one is the mirror image of the other, so that they share even and odd
+// parts. Nodes are filtered beforehand, along both axes, by the symmetric filter[0 ... half] that undoes the taps'
+// smoothing.
+struct Taps {
+    int count, half;
+    float even[max_taps / 2][max_bend / 2 + 1], odd[max_taps / 2][max_bend / 2];
+    float tap[max_bend + 1][max_taps];  // the same, powers of x by taps
+    float filter[max_smoothing + 1];
+};
+
+// What all steps of the tree share.
+struct Tree {
+    const Taps* taps;
+    double wave;  // turns of the carrier a metre of range
+    double sine[max_trig], cosine[max_trig];
+    Nodes nodes;
+};
+
+// One ray of a parent from its children; `smooth`: filtered along it. `work`: 6 rows of `room`.
+struct MergeJob {
+    const Tree* tree;
+    const SubImage *parent, *children;
+    std::int64_t n_child, ray, room;
+    bool smooth;
+    float* work;
+};
+
+// Lines of pixels read from a sub-image and added to (rows, block) sums.
+struct ReadJob {
+    const Tree* tree;
+    const SubImage* image;
+    const double* lines;  // (rows, 6)
+    const std::uint8_t* active;
+    int rows, count;
+    float *re, *im;
+};
+
 struct Kernels {
     const char* name;
     void (*sum_single)(TileJob<float>&);
     void (*sum_double)(TileJob<double>&);
     void (*filter_single)(const FilterJob<float>&);
     void (*filter_double)(const FilterJob<double>&);
+    // sums of a tile's rays (rows, block) from node `first` on, turned back by the carrier about the sub-image's centre
+    void (*turn_back)(const Tree&, const SubImage&, std::int64_t first, int rows, float* re, float* im);
+    // out[m] for m < count from in[m - half] ... in[m + half]
+    void (*smooth)(const Taps&, const float* in, float* out, std::int64_t count);
+    // columns [begin, end) of rows [first, last), in place, with `work` for (last - first) rows of a vector
+    void (*smooth_across)(const Taps&, float* plane, std::int64_t stride, std::int64_t first, std::int64_t last,
+                          std::int64_t begin, std::int64_t end, float* work);
+    void (*merge)(const MergeJob&);
+    void (*read)(ReadJob&);
 };
 
 namespace baseline {

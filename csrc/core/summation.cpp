@@ -117,13 +117,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
                 job.count = static_cast<int>(right - left);  // a block never runs on behind the image: tables end there
-                for (std::int64_t r = 0; r < job.rows; ++r) {
-                    for (std::int64_t axis = 0; axis < 3; ++axis) {
-                        const double step = frame.step[3 * (top + r) + axis];
-                        lines[6 * r + axis] = frame.first[3 * (top + r) + axis] + static_cast<double>(left) * step;
-                        lines[6 * r + 3 + axis] = step;
-                    }
-                }
+                Tiling(frame).lines({top, bottom, left, right}, lines);
                 job.lines = lines;
             } else {
                 job.rows = static_cast<int>((pixels + frame.count - 1) / frame.count);
@@ -146,8 +140,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             for (int r = 0; r < job.rows; ++r) {
                 std::int64_t line, begin, end;
                 row_of(r, line, begin, end);
-                const std::uint8_t* wanted = frame.mask ? frame.mask + line * frame.width : nullptr;
-                active[r] = !wanted || std::any_of(wanted + begin, wanted + end, [](std::uint8_t m) { return m != 0; });
+                active[r] = Tiling(frame).any(line, begin, end);
                 any = any || active[r];
             }
             if (!any) return;

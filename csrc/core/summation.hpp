@@ -2,6 +2,7 @@
 // image.
 #pragma once
 
+#include <algorithm>
 #include <complex>
 #include <cstdint>
 #include <vector>
@@ -43,6 +44,39 @@ struct Frame {
     const std::uint8_t* mask;  // (height, width) pixels wanted, or null
     std::int64_t height, width;
     int count;  // pixels of a block
+};
+
+// How the lines of a frame are cut into tiles of `tile_rows` lines and `count` pixels.
+struct Tiling {
+    struct Tile {
+        std::int64_t top, bottom, left, right;
+    };
+
+    explicit Tiling(const Frame& frame) : frame(frame), across((frame.width + frame.count - 1) / frame.count) {}
+    std::int64_t count() const { return (frame.height + tile_rows - 1) / tile_rows * across; }
+    Tile at(std::int64_t number) const {
+        const std::int64_t top = number / across * tile_rows, left = number % across * frame.count;
+        return {top, std::min<std::int64_t>(top + tile_rows, frame.height), left,
+                std::min<std::int64_t>(left + frame.count, frame.width)};
+    }
+    // First pixel and step of each line of a tile, (rows, 6).
+    void lines(const Tile& tile, double* out) const {
+        for (std::int64_t r = 0; r < tile.bottom - tile.top; ++r) {
+            for (std::int64_t axis = 0; axis < 3; ++axis) {
+                const double step = frame.step[3 * (tile.top + r) + axis];
+                out[6 * r + axis] = frame.first[3 * (tile.top + r) + axis] + static_cast<double>(tile.left) * step;
+                out[6 * r + 3 + axis] = step;
+            }
+        }
+    }
+    // Whether any pixel of a piece of a line is wanted.
+    bool any(std::int64_t line, std::int64_t begin, std::int64_t end) const {
+        const std::uint8_t* wanted = frame.mask ? frame.mask + line * frame.width : nullptr;
+        return !wanted || std::any_of(wanted + begin, wanted + end, [](std::uint8_t m) { return m != 0; });
+    }
+
+    const Frame& frame;
+    std::int64_t across;
 };
 
 // Add a batch's terms to `image` (line, pixel); returns how many there were.

@@ -22,6 +22,7 @@ struct Float {
     static vec mul(vec a, vec b) { return _mm256_mul_ps(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_ps(a, b, c); }
+    static vec one_where_eq(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_EQ_OQ), set(1.0F)); }
     static idx bits(vec a) { return _mm256_castps_si256(a); }
     static idx number(vec a) { return _mm256_sub_epi32(bits(a), _mm256_set1_epi32(0x4B400000)); }
     static idx load_index(const std::int32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
@@ -34,6 +35,8 @@ struct Float {
         return _mm256_blendv_ps(low, high, _mm256_castsi256_ps(_mm256_slli_epi32(k, 28)));
     }
 };
+
+#include "isa/eight.inl"
 
 struct Double {
     using real = double;
@@ -93,10 +96,13 @@ struct Double {
 };
 
 #include "kernels/backprojection.inl"
+#include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 
 }  // namespace
 
-const Kernels kernels{"avx2", &sum_tile<Float>, &sum_tile<Double>, &filter<Float>, &filter<Double>};
+const Kernels kernels{"avx2",          &sum_tile<Float>,  &sum_tile<Double>, &filter<Float>,
+                      &filter<Double>, &turn_back<Float>, &smooth<Float>,    &smooth_across<Float>,
+                      &merge<Float>,   &read_lines<Float>};
 
 }  // namespace pysas::avx2

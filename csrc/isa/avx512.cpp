@@ -22,6 +22,9 @@ struct Float {
     static vec mul(vec a, vec b) { return _mm512_mul_ps(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm512_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_ps(a, b, c); }
+    static vec one_where_eq(vec a, vec b) {
+        return _mm512_maskz_mov_ps(_mm512_cmp_ps_mask(a, b, _CMP_EQ_OQ), set(1.0F));
+    }
     static idx bits(vec a) { return _mm512_castps_si512(a); }
     static idx number(vec a) { return _mm512_sub_epi32(bits(a), _mm512_set1_epi32(0x4B400000)); }
     static idx load_index(const std::int32_t* p) { return _mm512_loadu_si512(p); }
@@ -35,6 +38,8 @@ struct Float {
         return _mm512_mask_blend_ps(_mm512_test_epi32_mask(k, _mm512_set1_epi32(32)), low, high);
     }
 };
+
+#include "isa/eight.inl"
 
 struct Double {
     using real = double;
@@ -82,10 +87,12 @@ struct Double {
 };
 
 #include "kernels/backprojection.inl"
+#include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 
 }  // namespace
 
-const Kernels kernels{"avx512", &sum_tile<Float>, &sum_tile<Double>, &filter<Float>, &filter<Double>};
+const Kernels kernels{"avx512",          &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
+                      &turn_back<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
 
 }  // namespace pysas::avx512

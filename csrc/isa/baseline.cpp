@@ -69,6 +69,9 @@ struct Plain {
     static vec one_where_le(vec a, vec b) {
         return each([&](int i) { return Real(a.at[i] <= b.at[i]); });
     }
+    static vec one_where_eq(vec a, vec b) {
+        return each([&](int i) { return Real(a.at[i] == b.at[i]); });
+    }
     static Real largest(vec a) {
         Real most = a.at[0];
         for (int i = 1; i < N; ++i) most = a.at[i] > most ? a.at[i] : most;
@@ -102,13 +105,16 @@ struct Plain {
 };
 
 using Float = Plain<float, 8>;
+using Eight = Float;
 using Double = Plain<double, 4>;
 
 #include "kernels/backprojection.inl"
+#include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 
 }  // namespace
 
-const Kernels kernels{"baseline", &sum_tile<Float>, &sum_tile<Double>, &filter<Float>, &filter<Double>};
+const Kernels kernels{"baseline",        &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
+                      &turn_back<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
 
 }  // namespace pysas::baseline

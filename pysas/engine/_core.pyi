@@ -67,3 +67,77 @@ def add(
     tick: Callable[[float], object] | None,
 ) -> int:
     """Add a batch's terms to `image` (line, pixel); returns how many."""
+
+class Tree:
+    """Taps (see pysas.engine.tree.Taps) and carrier, turns a metre of range, that all steps of a tree share."""
+
+    def __init__(
+        self,
+        even: npt.NDArray[np.float32],
+        odd: npt.NDArray[np.float32],
+        tap: npt.NDArray[np.float32],
+        filter: npt.NDArray[np.float32],
+        wave: float,
+        sine: Sequence[float],
+        cosine: Sequence[float],
+        nodes: npt.NDArray[np.float64],
+        fit: npt.NDArray[np.float64],
+    ) -> None: ...
+
+def leaves(
+    tree: Tree,
+    table: npt.NDArray[np.float32],
+    degree: int,
+    sine: Sequence[float],
+    cosine: Sequence[float],
+    geometry: npt.NDArray[np.float64],
+    model: npt.NDArray[np.float64],
+    kind: int,
+    span: npt.NDArray[np.int64],
+    place: npt.NDArray[np.float64],
+    shape: npt.NDArray[np.int64],
+    range: npt.NDArray[np.int32],
+    store: npt.NDArray[np.float32],
+    count: int,
+    smooth: bool,
+    threads: int,
+    isa: str,
+    tick: Callable[[float], object] | None,
+) -> None:
+    """Fill the sub-images of groups of traces in `store`; with `smooth` for pixels to read, else for merging."""
+
+def merge(
+    tree: Tree,
+    span: npt.NDArray[np.int64],
+    child_place: npt.NDArray[np.float64],
+    child_shape: npt.NDArray[np.int64],
+    child_range: npt.NDArray[np.int32],
+    child_store: npt.NDArray[np.float32],
+    place: npt.NDArray[np.float64],
+    shape: npt.NDArray[np.int64],
+    range: npt.NDArray[np.int32],
+    store: npt.NDArray[np.float32],
+    smooth: bool,
+    threads: int,
+    isa: str,
+    tick: Callable[[float], object] | None,
+) -> None:
+    """Fill sub-images from their children's."""
+
+def read(
+    tree: Tree,
+    place: npt.NDArray[np.float64],
+    shape: npt.NDArray[np.int64],
+    range: npt.NDArray[np.int32],
+    store: npt.NDArray[np.float32],
+    first: npt.NDArray[np.float64],
+    step: npt.NDArray[np.float64],
+    mask: npt.NDArray[np.bool_] | None,
+    count: int,
+    wanted: npt.NDArray[np.uint8],
+    image: npt.NDArray[Any],
+    threads: int,
+    isa: str,
+    tick: Callable[[float], object] | None,
+) -> None:
+    """Add a sub-image to the `wanted` tiles of `image` (line, pixel)."""

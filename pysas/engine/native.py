@@ -101,6 +101,11 @@ class Reader:
     cut: Cut | None = None
 
     @property
+    def samples(self) -> int:
+        """Samples that the filter reads."""
+        return self.length if self.cut is None else 2 * self.length - 1
+
+    @property
     def rate(self) -> float:
         """Intervals per sample of the record."""
         return self.filter.rate * (2 if self.cut is not None else 1)
@@ -120,13 +125,13 @@ class Frame(Protocol):
 
 
 @functools.cache
-def _nodes(count: int) -> tuple[FloatArray, FloatArray]:
+def nodes(count: int) -> tuple[FloatArray, FloatArray]:
     """Chebyshev nodes in [-1, 1] and the matrix from values there to coefficients of powers, in the kernels' 7 x 7."""
-    nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
-    nodes[count // 2] = 0.0
+    at = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
+    at[count // 2] = 0.0
     fit = np.zeros((7, 7))
-    fit[:count, :count] = np.linalg.inv(np.vander(nodes, increasing=True))
-    return nodes, fit
+    fit[:count, :count] = np.linalg.inv(np.vander(at, increasing=True))
+    return at, fit
 
 
 def peaks(data: ComplexArray, threads: int) -> FloatArray:
@@ -167,11 +172,8 @@ def accumulate(
     traces = data if data.ndim == 3 else data[:, None, :]
     kind = np.dtype(real)
     filter = reader.filter
-    samples = reader.length if reader.cut is None else 2 * reader.length - 1
-    stride = engine.plane_stride(engine.intervals(samples, filter.rate), filter.degree, kind.itemsize)
-    table = np.empty((min(batch, len(order)), 2 * (filter.degree + 1), stride), dtype=kind)
-    nodes, fit = _nodes(NODES[kind.name])
-    plain = _plain(traces)
+    table = empty_table(reader, min(batch, len(order)), kind)
+    at, fit = nodes(NODES[kind.name])
     prepared = summed = 0.0
     terms = 0
     for begin in range(0, len(order), batch):
@@ -180,25 +182,7 @@ def accumulate(
         rows = table[: part.size]
         start = survey.start[begin : begin + part.size]
         weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
-        if reader.cut is None:
-            source, places = (traces, part) if plain else (_native(traces, part), np.arange(part.size))
-            engine.prepare(
-                source,
-                places,
-                start,
-                weights,
-                scale,
-                filter.weight,
-                filter.first,
-                filter.step,
-                samples,
-                rows,
-                threads,
-                isa,
-                None,
-            )
-        else:
-            _low_passed(traces, part, start, weights, scale, reader, rows, threads, isa)
+        fill(traces, part, start, weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
         width = frame.shape[1]
@@ -216,11 +200,52 @@ def accumulate(
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
             terms += engine.add(
                 rows, filter.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
-                survey.kind, nodes, fit, frame.first if frame.straight else None, frame.step if frame.straight else None,
+                survey.kind, at, fit, frame.first if frame.straight else None, frame.step if frame.straight else None,
                 points, mask, frame.count, image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)
+
+
+def empty_table(reader: Reader, traces: int, real: npt.DTypeLike) -> FloatArray:
+    """Room for the tables of some traces."""
+    engine, kind, degree = core(), np.dtype(real), reader.filter.degree
+    stride = engine.plane_stride(engine.intervals(reader.samples, reader.filter.rate), degree, kind.itemsize)
+    return np.empty((traces, 2 * (degree + 1), stride), dtype=kind)
+
+
+def fill(
+    traces: ComplexArray,
+    part: npt.NDArray[np.int64],
+    start: npt.NDArray[np.int64],
+    weights: ComplexArray | None,
+    scale: float,
+    reader: Reader,
+    table: FloatArray,
+    threads: int,
+    isa: str,
+) -> None:
+    """Tables of traces `part` (flat numbers) of (ping, channel, sample)."""
+    if reader.cut is not None:
+        _low_passed(traces, part, start, weights, scale, reader, table, threads, isa)
+        return
+    source, places = (traces, part) if _plain(traces) else (_native(traces, part), np.arange(part.size))
+    filter = reader.filter
+    core().prepare(
+        source,
+        places,
+        start,
+        weights,
+        scale,
+        filter.weight,
+        filter.first,
+        filter.step,
+        reader.samples,
+        table,
+        threads,
+        isa,
+        None,
+    )
 
 
 def _low_passed(

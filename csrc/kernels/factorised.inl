@@ -1,0 +1,471 @@
+// Fast factorised back-projection: sub-images of groups of pings are merged into those of longer groups, and read at
+// the image's pixels. Included after backprojection.inl, inside a namespace of one instruction set. See docs/ffbp.md.
+//
+// Between a parent's ray and a child's polar grid everything is smooth, so positions and phases are polynomials of
+// degree 4 through five exact values (float64) on stretches of `block` nodes. Lanes run along the ray: neighbouring
+// lanes read neighbouring nodes, without permutes or gathers.
+
+// A polynomial on each of several stretches: value (float64) at the middle node, coefficients of x, x^2, ... after it.
+struct Curves {
+    double middle[tile_rows];
+    float power[4][tile_rows];
+};
+
+inline void curve(const Nodes& nodes, const Double::vec (&value)[5], double scale, Curves& out, int at) {
+    using D = Double;
+    D::store(out.middle + at, D::mul(value[2], D::set(scale)));
+    for (int q = 1; q < 5; ++q) {
+        D::vec sum = D::set(0.0);
+        for (int j = 0; j < 5; ++j) {
+            if (j != 2) sum = D::fma(D::set(scale * nodes.fit[q][j]), D::sub(value[j], value[2]), sum);
+        }
+        D::store(out.power[q - 1] + at, sum);
+    }
+}
+
+template <class V>
+typename V::vec follow(const Curves& curves, int at, typename V::vec x) {
+    auto sum = V::set(curves.power[3][at]);
+    for (int q = 2; q >= 0; --q) sum = V::fma(sum, x, V::set(curves.power[q][at]));
+    return V::mul(sum, x);
+}
+
+// Weights of W taps at places x.
+template <class V, int W>
+void weigh(const Taps& taps, typename V::vec x, typename V::vec (&out)[W]) {
+    const auto square = V::mul(x, x);
+    for (int p = 0; p < W / 2; ++p) {
+        auto even = V::set(taps.even[p][W / 2]);
+        for (int q = W / 2 - 1; q >= 0; --q) even = V::fma(even, square, V::set(taps.even[p][q]));
+        auto odd = V::set(taps.odd[p][W / 2 - 1]);
+        for (int q = W / 2 - 2; q >= 0; --q) odd = V::fma(odd, square, V::set(taps.odd[p][q]));
+        odd = V::mul(odd, x);
+        out[p] = V::add(even, odd);
+        out[W - 1 - p] = V::sub(even, odd);
+    }
+}
+
+// One vector of nodes read W taps wide, from tap to tap `apart` reals on from `re` and `im`.
+template <class V, int W>
+void read_here(const Taps& taps, typename V::vec x, const float* re, const float* im, std::int64_t apart,
+               typename V::vec& out_re, typename V::vec& out_im) {
+    typename V::vec weight[W];
+    weigh<V, W>(taps, x, weight);
+    out_re = V::mul(weight[0], V::load(re));
+    out_im = V::mul(weight[0], V::load(im));
+    for (int t = 1; t < W; ++t) {
+        out_re = V::fma(weight[t], V::load(re + t * apart), out_re);
+        out_im = V::fma(weight[t], V::load(im + t * apart), out_im);
+    }
+}
+
+// The interval that all nodes of a stretch lie in, if one is sure to: their places are within the sum of powers of
+// `rest`.
+inline bool one_interval(const Curves& curves, int at, double rest, double& interval) {
+    double swing = 1e-4;
+    for (int q = 0; q < 4; ++q) swing += curves.power[q][at] < 0 ? -curves.power[q][at] : curves.power[q][at];
+    interval = ::floor(rest + 0.5);
+    return rest - swing >= interval - 0.5 && rest + swing <= interval + 0.5;
+}
+
+// One vector of nodes read W taps wide at places `position` from interval `base` on; nodes lie `apart` reals from tap
+// to tap. Lanes whose intervals differ are read interval by interval.
+template <class V, int W>
+void read_taps(const Taps& taps, typename V::vec position, std::int64_t base, std::int64_t least, std::int64_t most,
+               const float* re, const float* im, std::int64_t apart, typename V::vec& out_re, typename V::vec& out_im) {
+    const auto round = V::set(magic<float>());
+    const auto interval = V::sub(V::add(position, round), round);
+    const auto x = V::sub(position, interval);
+    alignas(64) float each[V::n];
+    V::store(each, interval);
+    const float first = each[0], last = each[V::n - 1];
+    const float low = first < last ? first : last, high = first < last ? last : first;
+    out_re = out_im = V::set(0);
+    for (float k = low; k <= high; k += 1) {
+        std::int64_t from = base + static_cast<std::int64_t>(k);
+        from = from < least ? least : from > most ? most : from;
+        typename V::vec sum_re, sum_im;
+        read_here<V, W>(taps, x, re + from * apart, im + from * apart, apart, sum_re, sum_im);
+        if (low == high) {
+            out_re = sum_re;
+            out_im = sum_im;
+        } else {
+            const auto here = V::one_where_eq(interval, V::set(k));
+            out_re = V::fma(here, sum_re, out_re);
+            out_im = V::fma(here, sum_im, out_im);
+        }
+    }
+}
+
+// Places of a stretch's nodes in [-1, 1].
+template <class V>
+typename V::vec place_of(int m) {
+    alignas(64) float x[V::n];
+    for (int i = 0; i < V::n; ++i) x[i] = static_cast<float>(2.0 * (m + i) / (block - 1) - 1);
+    return V::load(x);
+}
+
+template <class V>
+struct Stretch {
+    typename V::vec x[block / V::n];
+    Stretch() {
+        for (int s = 0; s < block / V::n; ++s) x[s] = place_of<V>(s * V::n);
+    }
+};
+
+inline std::int64_t nearest_below(double x) { return static_cast<std::int64_t>(::floor(x)); }
+
+// arcsin of |q| < 0.4, to 2e-10
+inline Double::vec arcsine(Double::vec q) {
+    using D = Double;
+    constexpr double c[] = {1.0 / 6,
+                            3.0 / 40,
+                            15.0 / 336,
+                            105.0 / 3456,
+                            945.0 / 42240,
+                            10395.0 / 599040,
+                            135135.0 / 9676800,
+                            2027025.0 / 175472640,
+                            34459425.0 / 3530096640.0};
+    const auto square = D::mul(q, q);
+    auto sum = D::set(c[8]);
+    for (int i = 7; i >= 0; --i) sum = D::fma(sum, square, D::set(c[i]));
+    return D::fma(D::mul(sum, square), q, q);
+}
+
+// arctan of |q| < 0.35, to 1e-9
+inline Double::vec arctangent(Double::vec q) {
+    using D = Double;
+    const auto square = D::mul(q, q);
+    auto sum = D::set(1.0 / 17);
+    for (int i = 15; i >= 3; i -= 2) sum = D::fma(sum, square, D::set((i / 2 % 2 ? -1.0 : 1.0) / i));
+    return D::fma(D::mul(sum, square), q, q);
+}
+
+template <class V>
+void smooth(const Taps& taps, const float* in, float* out, std::int64_t count) {
+    for (std::int64_t m = 0; m < count; m += V::n) {
+        auto sum = V::mul(V::set(taps.filter[0]), V::load(in + m));
+        for (int k = 1; k <= taps.half; ++k)
+            sum = V::fma(V::set(taps.filter[k]), V::add(V::load(in + m - k), V::load(in + m + k)), sum);
+        V::store(out + m, sum);
+    }
+}
+
+template <class V>
+void smooth_across(const Taps& taps, float* plane, std::int64_t stride, std::int64_t first, std::int64_t last,
+                   std::int64_t begin, std::int64_t end, float* work) {
+    const int half = taps.half;
+    for (std::int64_t m = begin; m < end; m += V::n) {
+        for (std::int64_t r = first; r < last; ++r)
+            V::store(work + (r - first) * V::n, V::load(plane + r * stride + m));
+        for (std::int64_t r = first + half; r < last - half; ++r) {
+            const float* at = work + (r - first) * V::n;
+            auto sum = V::mul(V::set(taps.filter[0]), V::load(at));
+            for (int k = 1; k <= half; ++k)
+                sum = V::fma(V::set(taps.filter[k]), V::add(V::load(at - k * V::n), V::load(at + k * V::n)), sum);
+            V::store(plane + r * stride + m, sum);
+        }
+    }
+}
+
+template <class V>
+void turn_back(const Tree& tree, const SubImage& image, std::int64_t first, int rows, float* re, float* im) {
+    const Phase<V, 6> phase(tree.sine, tree.cosine);
+    const double height = image.centre[2] - image.plane;
+    alignas(64) float cycles[block];
+    for (int m = 0; m < block; ++m) {
+        const double g = static_cast<double>(image.i0 + first + m) * image.step;
+        const double turns = -tree.wave * ::sqrt(g * g + height * height);
+        cycles[m] = static_cast<float>(turns - ::floor(turns + 0.5));
+    }
+    for (int m = 0; m < block; m += V::n) {
+        typename V::vec sine, cosine;
+        phase(V::load(cycles + m), sine, cosine);
+        for (int r = 0; r < rows; ++r) {
+            float *a = re + r * block + m, *b = im + r * block + m;
+            const auto x = V::load(a), y = V::load(b);
+            V::store(a, V::fnma(y, sine, V::mul(x, cosine)));
+            V::store(b, V::fma(y, cosine, V::mul(x, sine)));
+        }
+    }
+}
+
+template <class V, int W>
+void merge_taps(const MergeJob& job) {
+    using D = Double;
+    const Tree& tree = *job.tree;
+    const Taps& taps = *tree.taps;
+    const SubImage& parent = *job.parent;
+    const Phase<V, 6> phase(tree.sine, tree.cosine);
+    const Stretch<V> stretch;
+    const auto round = V::set(magic<float>());
+    const std::int64_t begin = parent.range[2 * job.ray], end = parent.range[2 * job.ray + 1];
+    if (end <= begin) return;
+    const std::int64_t count = end - begin;
+    const double angle = parent.angle0 + static_cast<double>(job.ray) * parent.dangle, step = parent.step;
+    const double ex = ::cos(angle), ey = ::sin(angle), parent_height = parent.centre[2] - parent.plane;
+    const double start = static_cast<double>(parent.i0 + begin) * step;
+    float *const line_re = job.work, *const line_im = line_re + job.room, *const sum_re = line_im + job.room,
+                 *const sum_im = sum_re + job.room, *const even_re = sum_im + job.room,
+                 *const even_im = even_re + job.room;
+    const int half = taps.half;
+    for (std::int64_t m = 0; m < count + block; ++m) sum_re[m] = sum_im[m] = 0;
+    Curves place, drift, turns;
+    for (std::int64_t c = 0; c < job.n_child; ++c) {
+        const SubImage& child = job.children[c];
+        const double vx = parent.centre[0] - child.centre[0], vy = parent.centre[1] - child.centre[1];
+        const double along = vx * ex + vy * ey, aside = vy * ex - vx * ey;
+        const double child_height = child.centre[2] - child.plane;
+        const double y0 = start + along, y1 = y0 + static_cast<double>(count - 1) * step;
+        std::int64_t low = nearest_below(::sqrt(y0 * y0 + aside * aside) / step) - W / 2 - half;
+        low = low < child.i0 ? child.i0 : low;
+        const std::int64_t high = nearest_below(::sqrt(y1 * y1 + aside * aside) / step) + W / 2 + 2 + half;
+        // along the child's rows: what it holds where the parent's ray crosses them
+        std::int64_t stretches = (high - low + block - 1) / block;
+        const std::int64_t there = (child.stride - (low - child.i0)) / block, fit = job.room / block;
+        stretches = stretches > there ? there : stretches;
+        stretches = stretches > fit ? fit : stretches;
+        if (stretches <= 0) continue;
+        for (std::int64_t s = 0; s < stretches; s += tile_rows) {
+            const int some = static_cast<int>(stretches - s < tile_rows ? stretches - s : tile_rows);
+            for (int i = 0; i < some; i += D::n) {
+                D::vec value[5];
+                alignas(64) double at[D::n];
+                for (int j = 0; j < 5; ++j) {
+                    for (int l = 0; l < D::n; ++l) {
+                        const double node =
+                            static_cast<double>(low + (s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2;
+                        at[l] = aside / (node * step);
+                    }
+                    value[j] = arcsine(D::load(at));
+                }
+                curve(tree.nodes, value, 1 / child.dangle, place, i);
+            }
+            for (int i = 0; i < some; ++i) {
+                const double middle = place.middle[i] + (angle - child.angle0) / child.dangle - 0.5;
+                const std::int64_t base = nearest_below(middle + 0.5);
+                const auto rest = V::set(static_cast<float>(middle - static_cast<double>(base)));
+                const std::int64_t to = (s + i) * block, column = low + to - child.i0;
+                double interval;
+                if (one_interval(place, i, middle - static_cast<double>(base), interval)) {
+                    std::int64_t ray = base + static_cast<std::int64_t>(interval) - (W / 2 - 1);
+                    ray = ray < 0 ? 0 : ray > child.rays - W ? child.rays - W : ray;
+                    const auto rest_here = V::set(static_cast<float>(middle - static_cast<double>(base) - interval));
+                    const float *a = child.re + ray * child.stride + column,
+                                *b = child.im + ray * child.stride + column;
+                    for (int m = 0; m < block; m += V::n) {
+                        typename V::vec re, im;
+                        read_here<V, W>(taps, V::add(follow<V>(place, i, stretch.x[m / V::n]), rest_here), a + m, b + m,
+                                        child.stride, re, im);
+                        V::store(line_re + to + m, re);
+                        V::store(line_im + to + m, im);
+                    }
+                    continue;
+                }
+                for (int m = 0; m < block; m += V::n) {
+                    const auto position = V::add(follow<V>(place, i, stretch.x[m / V::n]), rest);
+                    typename V::vec re, im;
+                    read_taps<V, W>(taps, position, base - (W / 2 - 1), 0, child.rays - W, child.re + column + m,
+                                    child.im + column + m, child.stride, re, im);
+                    V::store(line_re + to + m, re);
+                    V::store(line_im + to + m, im);
+                }
+            }
+        }
+        // along the parent's ray, turned from the child's carrier to the parent's
+        const std::int64_t length = stretches * block;
+        // smoothed here and not on the child's own rays: the parent's ray crosses them
+        smooth<V>(taps, line_re + half, even_re + half, length - 2 * half);
+        smooth<V>(taps, line_im + half, even_im + half, length - 2 * half);
+        for (std::int64_t s = 0; s * block < count; s += tile_rows) {
+            const std::int64_t left = (count - s * block + block - 1) / block;
+            const int some = static_cast<int>(left < tile_rows ? left : tile_rows);
+            for (int i = 0; i < some; i += D::n) {
+                D::vec where[5], carrier[5];
+                alignas(64) double at[D::n];
+                for (int j = 0; j < 5; ++j) {
+                    for (int l = 0; l < D::n; ++l) {
+                        at[l] = start +
+                                (static_cast<double>((s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2) *
+                                    step;
+                    }
+                    const auto ray = D::load(at), y = D::add(ray, D::set(along));
+                    const auto ground2 = D::fma(y, y, D::set(aside * aside));
+                    where[j] = D::sub(D::sqrt(ground2), ray);
+                    carrier[j] = D::sub(D::sqrt(D::add(ground2, D::set(child_height * child_height))),
+                                        D::sqrt(D::fma(ray, ray, D::set(parent_height * parent_height))));
+                }
+                curve(tree.nodes, where, 1 / step, drift, i);
+                curve(tree.nodes, carrier, tree.wave, turns, i);
+            }
+            for (int i = 0; i < some; ++i) {
+                const std::int64_t to = (s + i) * block;
+                const double middle = drift.middle[i] - 0.5 + static_cast<double>(parent.i0 + begin - low);
+                const std::int64_t base = nearest_below(middle + 0.5);
+                const auto rest = V::set(static_cast<float>(middle - static_cast<double>(base)));
+                const auto turned = V::set(static_cast<float>(turns.middle[i] - ::floor(turns.middle[i] + 0.5)));
+                double interval;
+                const bool fixed = one_interval(drift, i, middle - static_cast<double>(base), interval);
+                std::int64_t first = base + static_cast<std::int64_t>(interval) - (W / 2 - 1) + to;
+                const std::int64_t most = job.room - W - block;  // lanes behind the ray's end read what nobody wants
+                first = first < 0 ? 0 : first > most ? most : first;
+                const auto rest_here = V::set(static_cast<float>(middle - static_cast<double>(base) - interval));
+                for (int m = 0; m < block; m += V::n) {
+                    const auto x = stretch.x[m / V::n];
+                    const auto position = V::add(follow<V>(drift, i, x), rest);
+                    typename V::vec re, im, sine, cosine;
+                    const std::int64_t column = to + m;
+                    if (fixed)
+                        read_here<V, W>(taps, V::add(follow<V>(drift, i, x), rest_here), even_re + first + m,
+                                        even_im + first + m, 1, re, im);
+                    else
+                        read_taps<V, W>(taps, position, base - (W / 2 - 1) + column, 0, job.room - W - V::n, even_re,
+                                        even_im, 1, re, im);
+                    const auto ph = V::add(follow<V>(turns, i, x), turned);
+                    phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
+                    add_turned<V>(re, im, sine, cosine, sum_re + column, sum_im + column);
+                }
+            }
+        }
+    }
+    const int cut = job.smooth ? half : 0;
+    if (job.smooth) {
+        smooth<V>(taps, sum_re + half, line_re, count - 2 * half);
+        smooth<V>(taps, sum_im + half, line_im, count - 2 * half);
+    }
+    const float *re = job.smooth ? line_re : sum_re, *im = job.smooth ? line_im : sum_im;
+    const std::int64_t row = job.ray * parent.stride + begin + cut;
+    for (std::int64_t m = 0; m < count - 2 * cut; ++m) {
+        parent.re[row + m] = re[m];
+        parent.im[row + m] = im[m];
+    }
+}
+
+template <class V>
+void merge(const MergeJob& job) {
+    switch (job.tree->taps->count) {
+        case 4:
+            return merge_taps<V, 4>(job);
+        case 6:
+            return merge_taps<V, 6>(job);
+        default:
+            return merge_taps<V, 8>(job);
+    }
+}
+
+template <class V, int W>
+void read_taps_lines(ReadJob& job) {
+    using D = Double;
+    const Tree& tree = *job.tree;
+    const Taps& taps = *tree.taps;
+    const SubImage& image = *job.image;
+    const Phase<V, 6> phase(tree.sine, tree.cosine);
+    const auto round = V::set(magic<float>());
+    const int rows = job.rows, count = job.count;
+    // angles are counted from that of the tile's middle
+    double tile[3];
+    {
+        const double *a = job.lines, *b = job.lines + 6 * (rows - 1);
+        for (int axis = 0; axis < 3; ++axis) {
+            tile[axis] = (a[axis] + b[axis] + (a[3 + axis] + b[3 + axis]) * (count - 1) / 2) / 2 - image.centre[axis];
+        }
+    }
+    const double away = ::sqrt(tile[0] * tile[0] + tile[1] * tile[1]), ex = tile[0] / away, ey = tile[1] / away;
+    constexpr double pi = 3.14159265358979323846;
+    double angle = ::atan2(ey, ex) - image.angle0;
+    angle -= 2 * pi * ::floor((angle - (static_cast<double>(image.rays) * image.dangle - 2 * pi) / 2) / (2 * pi));
+    Curves across, out, turns;
+    for (int r = 0; r < rows; r += D::n) {
+        D::vec bearing[5], ground[5], range[5];
+        alignas(64) double x[D::n], y[D::n], z[D::n];
+        for (int j = 0; j < 5; ++j) {
+            for (int l = 0; l < D::n; ++l) {
+                const double* line = job.lines + 6 * (r + l < rows ? r + l : rows - 1);
+                const double at = (tree.nodes.at[j] + 1) * (count - 1) / 2;
+                const double px = line[0] + at * line[3] - image.centre[0],
+                             py = line[1] + at * line[4] - image.centre[1];
+                x[l] = px * ex + py * ey;
+                y[l] = (py * ex - px * ey) / x[l];
+                z[l] = line[2] + at * line[5] - image.centre[2];
+            }
+            const auto q = D::load(y), depth = D::load(x), drop = D::load(z);
+            bearing[j] = arctangent(q);
+            const auto side = D::mul(q, depth), ground2 = D::fma(side, side, D::mul(depth, depth));
+            ground[j] = D::sqrt(ground2);
+            range[j] = D::sqrt(D::fma(drop, drop, ground2));
+        }
+        curve(tree.nodes, bearing, 1 / image.dangle, across, r);
+        curve(tree.nodes, ground, 1 / image.step, out, r);
+        curve(tree.nodes, range, tree.wave, turns, r);
+    }
+    Eight::vec tap[W + 1];
+    for (int q = 0; q <= W; ++q) tap[q] = Eight::load(taps.tap[q]);
+    for (int r = 0; r < rows; ++r) {
+        if (!job.active[r]) continue;
+        const double beam = across.middle[r] + angle / image.dangle - 0.5;
+        const double node = out.middle[r] - static_cast<double>(image.i0) - 0.5;
+        const std::int64_t beam0 = nearest_below(beam + 0.5), node0 = nearest_below(node + 0.5);
+        const auto beam_rest = V::set(static_cast<float>(beam - static_cast<double>(beam0)));
+        const auto node_rest = V::set(static_cast<float>(node - static_cast<double>(node0)));
+        const auto turned = V::set(static_cast<float>(turns.middle[r] - ::floor(turns.middle[r] + 0.5)));
+        alignas(64) float cosine[block], sine[block], beams[block], nodes[block], beam_x[block], node_x[block];
+        alignas(64) float re[block], im[block], place[block];
+        for (int m = 0; m < block; ++m)
+            place[m] = static_cast<float>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
+        for (int m = 0; m < count; m += V::n) {
+            const auto x = V::load(place + m);
+            const auto b = V::add(follow<V>(across, r, x), beam_rest), n = V::add(follow<V>(out, r, x), node_rest);
+            const auto bk = V::sub(V::add(b, round), round), nk = V::sub(V::add(n, round), round);
+            V::store(beams + m, bk);
+            V::store(nodes + m, nk);
+            V::store(beam_x + m, V::sub(b, bk));
+            V::store(node_x + m, V::sub(n, nk));
+            const auto ph = V::add(follow<V>(turns, r, x), turned);
+            typename V::vec s, c;
+            phase(V::sub(ph, V::sub(V::add(ph, round), round)), s, c);
+            V::store(sine + m, s);
+            V::store(cosine + m, c);
+        }
+        for (int m = 0; m < count; ++m) {
+            std::int64_t j = beam0 + static_cast<std::int64_t>(beams[m]) - (W / 2 - 1);
+            std::int64_t i = node0 + static_cast<std::int64_t>(nodes[m]) - (W / 2 - 1);
+            j = j < 0 ? 0 : j > image.rays - W ? image.rays - W : j;
+            i = i < 0 ? 0 : i > image.stride - 8 ? image.stride - 8 : i;
+            const auto xb = Eight::set(beam_x[m]), xn = Eight::set(node_x[m]);
+            auto wb = tap[W], wn = tap[W];
+            for (int q = W - 1; q >= 0; --q) {
+                wb = Eight::fma(wb, xb, tap[q]);
+                wn = Eight::fma(wn, xn, tap[q]);
+            }
+            alignas(32) float weight[8];
+            Eight::store(weight, wb);
+            const float *a = image.re + j * image.stride + i, *b = image.im + j * image.stride + i;
+            auto sum_re = Eight::mul(Eight::set(weight[0]), Eight::load(a)),
+                 sum_im = Eight::mul(Eight::set(weight[0]), Eight::load(b));
+            for (int t = 1; t < W; ++t) {
+                const auto w = Eight::set(weight[t]);
+                sum_re = Eight::fma(w, Eight::load(a + t * image.stride), sum_re);
+                sum_im = Eight::fma(w, Eight::load(b + t * image.stride), sum_im);
+            }
+            re[m] = Eight::total(Eight::mul(sum_re, wn));
+            im[m] = Eight::total(Eight::mul(sum_im, wn));
+        }
+        for (int m = 0; m < count; m += V::n) {
+            add_turned<V>(V::load(re + m), V::load(im + m), V::load(sine + m), V::load(cosine + m),
+                          job.re + r * block + m, job.im + r * block + m);
+        }
+    }
+}
+
+template <class V>
+void read_lines(ReadJob& job) {
+    switch (job.tree->taps->count) {
+        case 4:
+            return read_taps_lines<V, 4>(job);
+        case 6:
+            return read_taps_lines<V, 6>(job);
+        default:
+            return read_taps_lines<V, 8>(job);
+    }
+}

@@ -1,0 +1,156 @@
+"""A plan: how a geometry is imaged, carried out on any data of its shape, and explained."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas._checks import ComplexArray
+from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
+from pysas.echoes import Echoes
+from pysas.engine import MONOSTATIC, MOVING, native, summation
+from pysas.factorised import Forest
+from pysas.grid import Grid
+from pysas.image import Image
+from pysas.scene import Scene
+
+if TYPE_CHECKING:
+    from pysas.planner import Choices
+
+
+class Plan:
+    """How to image a geometry: call it with data shaped like the echoes' it was made from.
+
+    Attributes
+    ----------
+    choices : Choices
+    tol : float
+    """
+
+    def __init__(
+        self,
+        echoes: Echoes,
+        grid: Grid,
+        tol: float,
+        scene: Scene,
+        choices: Choices,
+        threads: int,
+        backend: str,
+        nan: str,
+        method: str = "backprojection",
+        forest: Forest | None = None,
+        why_direct: str = "",
+    ) -> None:
+        from pysas import backprojection
+
+        self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
+        self.grid, self.scene, self.nan = grid, scene, nan
+        self.method, self.forest, self.why_direct = method, forest, why_direct
+        self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
+        self.frame = backprojection.Frame(grid, scene, choices.block) if forest is None else forest.frame
+        self.reported = dataclasses.asdict(choices)
+        self.reader = backprojection.reader_of(choices, scene.band)
+        if not scene.heard.any():
+            warnings.warn(scene.why_silent(), stacklevel=4)
+
+    def __call__(
+        self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None
+    ) -> Image:
+        """Image `data`.
+
+        Parameters
+        ----------
+        data : array of the echoes' shape and dtype
+        out : complex array of grid.shape, optional
+            Written in place and returned as the image's data.
+        progress : callable, optional
+            Called from this thread with the share done, 0 to 1.
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        ValueError, TypeError
+            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise".
+
+        Notes
+        -----
+        O(traces (pixels + n_fft log n_fft)); memory beyond input and output: one batch of coefficients, about 25 MB.
+        """
+        from pysas import backprojection
+
+        return backprojection.execute(self, data, out, progress)
+
+    def __str__(self) -> str:
+        c, scene = self.choices, self.scene
+        shape = " x ".join(map(str, self.grid.shape))
+        delay = f"polynomials over {c.block} pixels, exact below {c.near:.3g} m" if c.block else "exact per pixel"
+        kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
+        made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
+        return "\n".join(
+            [
+                f"Plan: {self.method} of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
+                f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
+                f"  traces         {kept}, {', '.join(made)}",
+                f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
+                f"  delay          {c.delay}, {delay}",
+                f"  terms          {scene.traces * scene.pixels:.4g} at most",
+                *(self.forest.describe() if self.forest is not None else []),
+                *([f"  direct sum     {self.why_direct}"] if self.why_direct else []),
+                f"  predicted      error {c.predicted_error:.2g}, time {self.predicted_seconds:.2g} s, "
+                f"memory {self.predicted_memory / 2**20:.0f} MB beyond the input",
+            ]
+        )
+
+    @property
+    def predicted_seconds(self) -> float:
+        """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
+        c, scene = self.choices, self.scene
+        if self.forest is not None:
+            return self.forest.seconds / self.threads
+        term = term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
+        traces = int(np.count_nonzero(scene.heard))
+        made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
+        return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads
+
+    @property
+    def predicted_memory(self) -> int:
+        """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
+        c = self.choices
+        item = 8 if c.precision == "float32" else 16
+        work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
+        if c.n_fft:
+            work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
+        if self.backend == "cpp" and not c.block:
+            work += 24 * min(native.SLAB, self.grid.size)
+        if self.forest is not None:
+            work += self.forest.store_bytes
+        return int(self.grid.size * self.dtype.itemsize + work)
+
+    def explain(self) -> str:
+        """What the scene has, what was left out and the share of work saved, and where the error goes."""
+        c, scene = self.choices, self.scene
+        lines = [str(self), "  left out"]
+        silent = scene.traces - int(np.count_nonzero(scene.heard))
+        saved = 1 - c.length / scene.n_sample
+        masked = 1 - scene.pixels / self.grid.size
+        rows = [
+            (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
+            (scene.kind != MOVING, "receivers' motion within the ping: no velocity"),
+            (scene.weights is None, "weights: none given"),
+            (scene.cos_beam <= -1, "beam: none given"),
+            (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
+            (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),
+            (silent > 0, f"{silent} of {scene.traces} traces: no pixel within their window"),
+            (masked > 0, f"{100 * masked:.0f} % of the pixels: masked"),
+        ]
+        lines += [f"    - {text}" for used, text in rows if used]
+        lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
+        return "\n".join(lines)

@@ -1,0 +1,234 @@
+"""Fast factorised back-projection keeps tol, on every track, and says what it did not factorise.
+
+Answers are those of pysas.reference.exact on sampled pixels; echoes are random, so that every sample matters.
+"""
+
+import numpy as np
+import pytest
+from scenes import SCENES, bright, moving, straight, survey
+from test_tolerance import engines
+
+import pysas
+from pysas.engine import tree
+
+pytestmark = pytest.mark.cpp
+
+
+@pytest.fixture(params=[isa for backend, isa in engines() if backend == "cpp"])
+def isa(request, monkeypatch):
+    monkeypatch.setenv("PYSAS_ISA", request.param)
+    return request.param
+
+
+def single(echoes):
+    return echoes.replace(data=echoes.data.astype(np.complex64))
+
+
+def plane(pixels, lines, near, step=0.02):
+    axis = np.arange(pixels) * step
+    return pysas.Grid.plane(axis - axis.mean(), near + np.arange(lines) * step)
+
+
+def error(image, echoes, grid, weights=None, count=300):
+    wanted = np.arange(grid.size) if grid.mask is None else np.flatnonzero(grid.mask)
+    pixels = np.random.default_rng(5).choice(wanted, min(count, wanted.size), replace=False)
+    exact, level = pysas.reference.exact(echoes, grid, pixels, weights)
+    return pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level)
+
+
+def long_record(make, **more):
+    """A scene whose records reach well beyond what the grids here ask for."""
+    return single(make(samples=1400, **more))
+
+
+def circle(pings):
+    """A closed circle of 20 m radius whose records reach from 10 to 36 m."""
+    tx = pysas.tracks.circular(pings, 20.0, height=4.0).position
+    return single(survey(tx, tx[:, None].copy(), 10.0, samples=1400))
+
+
+CASES = {
+    "straight": (lambda: long_record(straight, pings=256), plane(192, 160, 24.0)),
+    "prime number of pings": (lambda: long_record(straight, pings=251), plane(150, 130, 24.0)),
+    "moving, 6 receivers": (lambda: long_record(moving, pings=48), plane(192, 160, 24.0)),
+    "circular": (lambda: circle(400), plane(150, 150, -1.5)),
+    "polar grid": (
+        lambda: long_record(moving, pings=48),
+        pysas.Grid.polar(24.0 + np.arange(180) * 0.02, np.pi / 2 + np.arange(-90, 91) * 0.001),
+    ),
+    "volume": (
+        lambda: long_record(straight, pings=128),
+        pysas.Grid.volume(np.arange(-64, 65) * 0.02, 26 + np.arange(96) * 0.02, np.array([-0.5, 0.0, 0.7])),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request):
+    make, grid = CASES[request.param]
+    return make(), grid
+
+
+@pytest.mark.parametrize("tol", [1e-1, 1e-2, 1e-3, 1e-4, 3e-5])
+def test_keeps_tol_through_the_tree_alone(case, tol, isa):
+    echoes, grid = case
+    image = pysas.ffbp(echoes, grid, tol, fallback=False)
+    assert image.report.factorised_share == 1 and image.report.method == "ffbp"
+    assert image.report.predicted_error <= tol
+    assert error(image, echoes, grid) <= tol
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("tol", [1e-1, 1e-3, 1e-5])
+def test_keeps_tol_on_the_scenes_of_the_sweep(name, tol):
+    make, grid = SCENES[name]
+    echoes = single(make())
+    image = pysas.ffbp(echoes, grid, tol)
+    assert error(image, echoes, grid, count=150) <= tol
+
+
+def test_beside_a_bright_point():
+    """Sidelobes of a point 60 dB above all else live at the edge of the band, where interpolation is worst."""
+    echoes = single(bright(256))
+    grid = plane(160, 100, 22.0)
+    for tol in (1e-2, 1e-3, 1e-4):
+        image = pysas.ffbp(echoes, grid, tol, fallback=False)
+        assert error(image, echoes, grid) <= tol
+
+
+def tracked(position, near=18.0, **more):
+    return single(survey(position, position[:, None].copy(), near, samples=1600, **more))
+
+
+def line(x, y=0.0, z=5.0):
+    return np.stack([x, np.full(x.size, y), np.full(x.size, z)], axis=1)
+
+
+TRACKS = {
+    "gap": line(np.concatenate([np.arange(100) * 0.03, 5 + np.arange(90) * 0.03]) - 3.5),
+    "reversing": line(np.concatenate([np.arange(100) * 0.03, 3 - np.arange(100) * 0.031]) - 1.5),
+    "repeated pings": line(np.repeat(np.arange(60) * 0.04, 3) - 1.2),
+    "one place": line(np.zeros(40)),
+    "one ping": line(np.zeros(1)),
+    "uneven": line(np.sort(np.random.default_rng(3).uniform(-3, 3, 180))),
+    "swaying by a metre": line(np.arange(200) * 0.03 - 3) + np.sin(np.arange(200) / 15)[:, None] * [0, 0.5, 0.3],
+}
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_tracks_that_break_the_toy(name):
+    echoes, grid = tracked(TRACKS[name]), plane(130, 100, 26.0)
+    for tol in (1e-2, 1e-4):
+        image = pysas.ffbp(echoes, grid, tol, fallback=False)
+        assert image.report.factorised_share == 1
+        assert error(image, echoes, grid) <= tol
+
+
+PLACES = {
+    "under the track": (line(np.arange(160) * 0.03 - 2.4), plane(140, 200, -2.0), 1.0),
+    "pixels on the track": (line(np.arange(160) * 0.03 - 2.4, z=0.0), plane(140, 120, -1.2), 0.0),
+    "behind the track": (line(np.arange(160) * 0.03), plane(160, 120, 20.0, 0.03), 10.0),
+    "range shorter than the aperture": (line(np.arange(256) * 0.04 - 5), plane(150, 130, 4.0), 2.0),
+    "both sides": (line(np.arange(160) * 0.03 - 2.4), plane(70, 700, -28.0, 0.08), 1.0),
+    "300:1 swath": (line(np.arange(128) * 0.03 - 1.9, z=2.0), plane(40, 1500, 0.1, 0.02), 0.1),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_any_place_of_the_image(name):
+    position, grid, near = PLACES[name]
+    echoes = tracked(position, near)
+    for tol in (1e-2, 1e-4):
+        assert error(pysas.ffbp(echoes, grid, tol), echoes, grid, count=500) <= tol
+
+
+def test_stiff_ratios():
+    """Range over wavelength of 1e6, and a band wider than half the carrier (Q below 2)."""
+    far = line(np.arange(128) * 0.3 - 19, z=50.0)
+    echoes = single(survey(far, far[:, None].copy(), 1495.0, fc=1e6, samples=900))
+    grid = plane(96, 96, 1500.0, 0.02)
+    assert error(pysas.ffbp(echoes, grid, 1e-3), echoes, grid) <= 1e-3
+    echoes = tracked(line(np.arange(200) * 0.03 - 3), fc=18e3, bandwidth=30e3)
+    grid = plane(130, 100, 26.0)
+    for tol in (1e-2, 1e-4):
+        assert error(pysas.ffbp(echoes, grid, tol, fallback=False), echoes, grid) <= tol
+
+
+def test_options_weights_mask_beam_and_missing_traces():
+    echoes, grid = CASES["moving, 6 receivers"][0](), CASES["moving, 6 receivers"][1]
+    rng = np.random.default_rng(4)
+    weights = rng.standard_normal((48, 6)) + 1j * rng.standard_normal((48, 6))
+    weights[3] = 0
+    mask = np.zeros(grid.shape, bool)
+    mask[20:90, 30:170] = rng.random((70, 140)) < 0.5
+    masked = pysas.Grid.plane(grid.axes["x"], grid.axes["y"], mask=mask)
+    image = pysas.ffbp(echoes, masked, 1e-3, weights=weights, fallback=False)
+    assert error(image, echoes, masked, weights) <= 1e-3 and not image.data[~mask].any()
+    beam = echoes.replace(beam=pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(9.0)))
+    assert error(pysas.ffbp(beam, grid, 1e-3), beam, grid) <= 1e-3
+    data = echoes.data.copy()
+    data[5, 2, 100] = np.nan
+    image = pysas.plan(echoes, grid, 1e-3, "ffbp", nan="mask", fallback=False)(data)
+    data[5, 2] = 0
+    assert error(image, echoes.replace(data=data), grid) <= 1e-3
+
+
+def test_any_number_of_threads_gives_the_same_bits():
+    echoes, grid = CASES["moving, 6 receivers"][0](), CASES["moving, 6 receivers"][1]
+    one = pysas.ffbp(echoes, grid, 1e-3, fallback=False, threads=1).data
+    for threads in (2, 3, 7):
+        assert np.array_equal(pysas.ffbp(echoes, grid, 1e-3, fallback=False, threads=threads).data, one)
+
+
+def test_a_plan_shows_its_tree_and_images_other_data():
+    echoes, grid = CASES["straight"][0](), CASES["straight"][1]
+    plan = pysas.plan(echoes, grid, 1e-3, "ffbp", fallback=False)
+    text = str(plan)
+    for word in ("ffbp of", "groups of at most", "level 0", "traces each", "taps", "factorised     100.0 %", "predicted"):
+        assert word in text
+    other = single(straight(pings=256, samples=1400, seed=8))
+    assert error(plan(other.data), other, grid) <= 1e-3
+
+
+def test_says_why_it_sums_directly():
+    make, grid = SCENES["surface"]
+    with pytest.raises(ValueError, match=r"fallback=False, tol=0.001: expected all terms .* no even lines"):
+        pysas.ffbp(make(), grid, 1e-3, fallback=False)
+    image = pysas.ffbp(make(), grid, 1e-3)
+    assert image.report.factorised_share == 0 and "no even lines" in image.report.notes[-1]
+    with pytest.raises(ValueError, match="tol below 3e-05"):
+        pysas.ffbp(long_record(straight), plane(64, 64, 24.0), 1e-5, fallback=False)
+    with pytest.raises(ValueError, match="near the track"):
+        pysas.ffbp(tracked(PLACES["under the track"][0], 1.0), PLACES["under the track"][1], 1e-3, fallback=False)
+    assert "a tree would take longer" in pysas.ffbp(single(straight(8)), plane(32, 32, 24.0), 1e-3).report.notes[-1]
+
+
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_linear_and_blind_to_scale(dtype):
+    echoes, grid = CASES["straight"][0](), CASES["straight"][1]
+    echoes = echoes.replace(data=echoes.data.astype(dtype))
+    plan = pysas.plan(echoes, grid, 1e-3, "ffbp", fallback=False)
+    a = plan(echoes.data).data
+    assert a.dtype == dtype
+    b = plan(echoes.data * dtype(2.0**-90)).data
+    assert np.array_equal(b * dtype(2.0**90), a)
+
+
+@pytest.mark.parametrize("width", tree.WIDTHS)
+def test_taps_are_as_good_as_they_say(width):
+    """A component's samples, filtered, then read between nodes, in float64: another way than the design's least squares."""
+    rng = np.random.default_rng(width)
+    taps = tree.taps(width, 1.5, 8)
+    n = np.arange(200)
+    worst = 0.0
+    for f in np.linspace(0, 0.5 / 1.5, 30):
+        samples = np.exp(2j * np.pi * f * n)
+        filter = np.concatenate([taps.filter[:0:-1], taps.filter]).astype(float)
+        even = np.convolve(samples, filter, mode="same")
+        for place in 100 + rng.random(20):
+            k = int(place)
+            x = place - k - 0.5
+            weight = np.array([np.polynomial.polynomial.polyval(x, taps.tap[:, t].astype(float)) for t in range(width)])
+            value = weight @ even[k - width // 2 + 1 : k + width // 2 + 1]
+            worst = max(worst, abs(value - np.exp(2j * np.pi * f * place)))
+    assert 0.5 * taps.worst <= worst <= 1.1 * taps.worst + 2e-6
