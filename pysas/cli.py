@@ -69,7 +69,7 @@ def parser() -> argparse.ArgumentParser:
     image.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
     image.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
     image.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
-    image.add_argument("--method", choices=("auto", "backprojection"), default="auto")
+    image.add_argument("--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto is backprojection")
     image.add_argument("--backend", choices=("auto", "numba", "cpp"), default="auto")
     image.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
     workers(image)

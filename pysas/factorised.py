@@ -139,12 +139,15 @@ class Forest:
 
     @property
     def store_bytes(self) -> int:
-        """Of the sub-images alive at a time."""
-        levels: dict[int, int] = {}
+        """Of the sub-images alive at a time: a batch of leaves, and one sub-image of each level above them."""
+        most: dict[int, int] = {}
         for t in self.trees:
-            for i, level in enumerate(t.subtree.levels if t.subtree is not None else ()):
-                levels[i] = max(levels.get(i, 0), 4 * level.size)
-        return sum(levels.values())
+            levels = t.subtree.levels if t.subtree is not None else ()
+            for i, level in enumerate(levels):
+                leaves = [(first, last) for _, _, first, last in batches(t, self.choices.batch)]
+                parts = leaves if i == 0 else [(k, k + 1) for k in range(len(level))]
+                most[i] = max(most.get(i, 0), *(4 * level.part(first, last).size for first, last in parts))
+        return sum(most.values())
 
     def describe(self) -> list[str]:
         """The tree, for print(plan)."""
@@ -324,12 +327,36 @@ def accumulate(
     terms = 0
     trees = [(sheet, t) for sheet in forest.sheets for t in sheet.trees]
     whole = sum(len(t.order) for _, t in trees)
+    longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
+    table = native.empty_table(reader, longest, np.float32)
     done = 0
 
     def store(level: int, size: int) -> Any:
         if level not in stores or stores[level].size < size:
             stores[level] = np.zeros(size, dtype=np.float32)
         return stores[level]
+
+    def rise(levels: tuple[SubImages, ...], below: int, begin: int, end: int) -> None:
+        """Merge complete sub-images [begin, end) of a level into their parents, and parents that this completes into theirs.
+
+        So each level above the leaves needs room for one sub-image alone.
+        """
+        span, whole_from = levels[below + 1].span, begin
+        while begin < end:
+            parent = int(np.searchsorted(span, begin, side="right")) - 1
+            stop = min(end, int(span[parent + 1]))
+            children, level = levels[below].part(begin, stop), levels[below + 1].part(parent, parent + 1)
+            last = stop == span[parent + 1]
+            shape = children.shape.copy()
+            shape[:, 3] += levels[below].shape[begin, 3] - levels[below].shape[whole_from, 3]
+            engine.merge(
+                shared, np.array([0, stop - begin]), children.place, shape, children.range, stores[below], level.place,
+                level.shape, level.range, store(below + 1, level.size), begin > span[parent], last,
+                last and below + 2 == len(levels), threads, isa, None,
+            )  # fmt: skip
+            if last and below + 2 < len(levels):
+                rise(levels, below + 1, parent, parent + 1)
+            begin = stop
 
     for sheet, t in trees:
         first, step = frame.first[sheet.begin : sheet.end], frame.step[sheet.begin : sheet.end]
@@ -340,9 +367,9 @@ def accumulate(
         kept = used[t.order]
         if not kept.all():
             weights = np.where(kept, 1.0 + 0j if weights is None else weights, 0)
-        for begin, end, leaf0, leaf1 in _batches(t, choices.batch):
+        for begin, end, leaf0, leaf1 in batches(t, choices.batch):
             clock = time.perf_counter()
-            rows = native.empty_table(reader, end - begin, np.float32)
+            rows = table[: end - begin]
             flat = t.order[begin:end]
             w = None if weights is None else weights[begin:end]
             native.fill(traces, flat, survey.start[begin:end], w, scale, reader, rows, threads, isa)
@@ -356,12 +383,15 @@ def accumulate(
                     progress((done + share * more) / whole)
 
             if t.subtree is not None:
-                level = t.subtree.levels[0].part(leaf0, leaf1)
+                levels = t.subtree.levels
+                level = levels[0].part(leaf0, leaf1)
                 engine.leaves(
                     shared, rows, reader.filter.degree, trigonometry[0], trigonometry[1], geometry, survey.model, survey.kind,
-                    level.span - begin, level.place, level.shape, level.range, store(0, level.size), choices.block,
-                    len(t.subtree.levels) == 1, threads, isa, tick,
+                    level.span, level.place, level.shape, level.range, store(0, level.size), choices.block,
+                    len(levels) == 1, threads, isa, tick,
                 )  # fmt: skip
+                if len(levels) > 1:
+                    rise(levels, 0, leaf0, leaf1)
             if direct is not None:
                 terms += engine.add(
                     rows, reader.filter.degree, trigonometry[0], trigonometry[1], geometry, survey.model, survey.kind,
@@ -373,13 +403,7 @@ def accumulate(
             continue
         now = time.perf_counter()
         levels = t.subtree.levels
-        for i in range(1, len(levels)):
-            below, level = levels[i - 1], levels[i]
-            engine.merge(
-                shared, level.span, below.place, below.shape, below.range, stores[i - 1], level.place, level.shape,
-                level.range, store(i, level.size), i == len(levels) - 1, threads, isa, None,
-            )  # fmt: skip
-        top: SubImages = levels[-1]
+        top = levels[-1]
         engine.read(
             shared, top.place, top.shape, top.range, stores[len(levels) - 1], first, step, sheet.mask, frame.count,
             t.read.astype(np.uint8), part_of, threads, isa, None,
@@ -391,7 +415,7 @@ def accumulate(
     return Totals(prepared, summed, terms)
 
 
-def _batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
+def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
     """Traces [begin, end) at a time, of leaves [first, last)."""
     if t.subtree is None:
         return [(b, min(b + batch, len(t.order)), 0, 0) for b in range(0, len(t.order), batch)]

@@ -222,16 +222,16 @@ void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, cons
 void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const Array<double>& child_place,
                       const Array<std::int64_t>& child_shape, const Array<std::int32_t>& child_range,
                       Array<float> child_store, const Array<double>& place, const Array<std::int64_t>& shape,
-                      const Array<std::int32_t>& range, Array<float> store, bool smooth, int threads,
-                      const std::string& isa, const py::object& tick) {
+                      const Array<std::int32_t>& range, Array<float> store, bool add, bool last, bool smooth,
+                      int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto children = images_of(child_place, child_shape, child_range, child_store);
     const auto images = images_of(place, shape, range, store);
     const std::int64_t* spans = span.data();
     const py::gil_scoped_release gil;
-    merge(kernels, tree.tree, children.data(), spans, images.data(), static_cast<std::int64_t>(images.size()), smooth,
-          threads, check);
+    merge(kernels, tree.tree, children.data(), spans, images.data(), static_cast<std::int64_t>(images.size()), add,
+          last, smooth, threads, check);
 }
 
 void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<std::int64_t>& shape,
@@ -293,8 +293,8 @@ PYBIND11_MODULE(_core, m) {
           "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "count"_a, "smooth"_a, "threads"_a, "isa"_a,
           "tick"_a, "Fill the sub-images of groups of traces.");
     m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
-          "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "smooth"_a, "threads"_a, "isa"_a, "tick"_a,
-          "Fill sub-images from their children's.");
+          "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,
+          "isa"_a, "tick"_a, "Fill sub-images from their children's.");
     m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a, "mask"_a,
           "count"_a, "wanted"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,

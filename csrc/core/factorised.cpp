@@ -166,7 +166,8 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
 }
 
 void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, const std::int64_t* span,
-           const SubImage* images, std::int64_t n_image, bool smooth, int threads, const Tick& tick) {
+           const SubImage* images, std::int64_t n_image, bool add, bool last, bool smooth, int threads,
+           const Tick& tick) {
     std::vector<Piece> pieces;
     std::int64_t longest = 0;
     for (std::int64_t i = 0; i < n_image; ++i) {
@@ -187,12 +188,13 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
                          span[piece.image + 1] - span[piece.image],
                          0,
                          room,
+                         add,
                          smooth,
                          work.data()};
             for (job.ray = piece.begin; job.ray < piece.end; ++job.ray) kernels.merge(job);
         },
         tick);
-    smooth_across(kernels, tree, images, n_image, threads, tick);
+    if (last) smooth_across(kernels, tree, images, n_image, threads, tick);
 }
 
 template <typename Pixel>

@@ -26,9 +26,11 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
             const SubImage* images, std::int64_t n_image, int at_once, bool smooth, int threads, const Tick& tick);
 
-// Fill sub-images from their children: image i from children span[i] to span[i + 1].
+// Sub-images from their children: image i from children span[i] to span[i + 1], added to what it holds with `add`.
+// `last`: no more children come, filter it across its rays; with `smooth` (pixels are to be read) along them too.
 void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, const std::int64_t* span,
-           const SubImage* images, std::int64_t n_image, bool smooth, int threads, const Tick& tick);
+           const SubImage* images, std::int64_t n_image, bool add, bool last, bool smooth, int threads,
+           const Tick& tick);
 
 // Add a sub-image to the tiles of an image for which `wanted` (in the order of rows of tiles) is not 0.
 template <typename Pixel>

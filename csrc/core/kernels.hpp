@@ -118,12 +118,13 @@ struct Tree {
     Nodes nodes;
 };
 
-// One ray of a parent from its children; `smooth`: filtered along it. `work`: 6 rows of `room`.
+// One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 6
+// rows of `room`.
 struct MergeJob {
     const Tree* tree;
     const SubImage *parent, *children;
     std::int64_t n_child, ray, room;
-    bool smooth;
+    bool add, smooth;
     float* work;
 };
 

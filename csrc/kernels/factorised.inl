@@ -142,31 +142,47 @@ inline Double::vec arctangent(Double::vec q) {
     return D::fma(D::mul(sum, square), q, q);
 }
 
+// Filter `U` vectors side by side: one alone waits for its own sums.
+template <class V, int U>
+void smooth_some(const Taps& taps, const float* in, std::int64_t apart, float* out) {
+    typename V::vec sum[U];
+    const auto middle = V::set(taps.filter[0]);
+    for (int u = 0; u < U; ++u) sum[u] = V::mul(middle, V::load(in + u * V::n));
+    for (int k = 1; k <= taps.half; ++k) {
+        const auto weight = V::set(taps.filter[k]);
+        const float *before = in - k * apart, *behind = in + k * apart;
+        for (int u = 0; u < U; ++u)
+            sum[u] = V::fma(weight, V::add(V::load(before + u * V::n), V::load(behind + u * V::n)), sum[u]);
+    }
+    for (int u = 0; u < U; ++u) V::store(out + u * V::n, sum[u]);
+}
+
 template <class V>
 void smooth(const Taps& taps, const float* in, float* out, std::int64_t count) {
-    for (std::int64_t m = 0; m < count; m += V::n) {
-        auto sum = V::mul(V::set(taps.filter[0]), V::load(in + m));
-        for (int k = 1; k <= taps.half; ++k)
-            sum = V::fma(V::set(taps.filter[k]), V::add(V::load(in + m - k), V::load(in + m + k)), sum);
-        V::store(out + m, sum);
+    constexpr int many = 4;
+    std::int64_t m = 0;
+    for (; m + (many - 1) * V::n < count; m += many * V::n) smooth_some<V, many>(taps, in + m, 1, out + m);
+    for (; m < count; m += V::n) smooth_some<V, 1>(taps, in + m, 1, out + m);
+}
+
+template <class V, int U>
+void smooth_columns(const Taps& taps, float* plane, std::int64_t stride, std::int64_t first, std::int64_t last,
+                    float* work) {
+    constexpr int wide = U * V::n;
+    for (std::int64_t r = first; r < last; ++r) {
+        for (int u = 0; u < wide; u += V::n) V::store(work + (r - first) * wide + u, V::load(plane + r * stride + u));
     }
+    for (std::int64_t r = first + taps.half; r < last - taps.half; ++r)
+        smooth_some<V, U>(taps, work + (r - first) * wide, wide, plane + r * stride);
 }
 
 template <class V>
 void smooth_across(const Taps& taps, float* plane, std::int64_t stride, std::int64_t first, std::int64_t last,
                    std::int64_t begin, std::int64_t end, float* work) {
-    const int half = taps.half;
-    for (std::int64_t m = begin; m < end; m += V::n) {
-        for (std::int64_t r = first; r < last; ++r)
-            V::store(work + (r - first) * V::n, V::load(plane + r * stride + m));
-        for (std::int64_t r = first + half; r < last - half; ++r) {
-            const float* at = work + (r - first) * V::n;
-            auto sum = V::mul(V::set(taps.filter[0]), V::load(at));
-            for (int k = 1; k <= half; ++k)
-                sum = V::fma(V::set(taps.filter[k]), V::add(V::load(at - k * V::n), V::load(at + k * V::n)), sum);
-            V::store(plane + r * stride + m, sum);
-        }
-    }
+    constexpr int many = block / V::n;
+    std::int64_t m = begin;
+    for (; m + block <= end; m += block) smooth_columns<V, many>(taps, plane + m, stride, first, last, work);
+    for (; m < end; m += V::n) smooth_columns<V, 1>(taps, plane + m, stride, first, last, work);
 }
 
 template <class V>
@@ -211,6 +227,13 @@ void merge_taps(const MergeJob& job) {
                  *const even_im = even_re + job.room;
     const int half = taps.half;
     for (std::int64_t m = 0; m < count + block; ++m) sum_re[m] = sum_im[m] = 0;
+    if (job.add) {
+        const std::int64_t row = job.ray * parent.stride + begin;
+        for (std::int64_t m = 0; m < count; ++m) {
+            sum_re[m] = parent.re[row + m];
+            sum_im[m] = parent.im[row + m];
+        }
+    }
     Curves place, drift, turns;
     for (std::int64_t c = 0; c < job.n_child; ++c) {
         const SubImage& child = job.children[c];

@@ -117,12 +117,14 @@ def merge(
     shape: npt.NDArray[np.int64],
     range: npt.NDArray[np.int32],
     store: npt.NDArray[np.float32],
+    add: bool,
+    last: bool,
     smooth: bool,
     threads: int,
     isa: str,
     tick: Callable[[float], object] | None,
 ) -> None:
-    """Fill sub-images from their children's."""
+    """Sub-images from their children's, added to what they hold with `add`; filtered with `last`, for pixels with `smooth`."""
 
 def read(
     tree: Tree,

@@ -109,5 +109,8 @@ class SubImages:
         return int(np.sum(np.maximum(self.range[:, 1] - self.range[:, 0], 0), dtype=np.int64))
 
     def part(self, begin: int, end: int) -> SubImages:
-        """Some of them, in the same store."""
-        return SubImages(self.place[begin:end], self.shape[begin:end], self.range, self.span[begin : end + 1], self.size)
+        """Some of them, in a store of their own."""
+        shape = self.shape[begin:end].copy()
+        shape[:, 3] -= shape[0, 3]
+        size = int(shape[-1, 3] + 2 * shape[-1, 1] * shape[-1, 2])
+        return SubImages(self.place[begin:end], shape, self.range, self.span[begin : end + 1] - self.span[begin], size)
