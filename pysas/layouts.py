@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pysas import subapertures
+from pysas._checks import FloatArray
 from pysas.costs import tree_ns
 from pysas.engine import native
 from pysas.factorised import Layout
@@ -17,14 +18,19 @@ if TYPE_CHECKING:
     from pysas.backprojection import Frame
 
 
-def lengths(scene: Scene, frame: Frame) -> list[float]:
-    """Candidates for the longest groups: fractions of the ground distances between track and image, at most the track."""
+def grounds(scene: Scene, frame: Frame) -> FloatArray:
+    """Ground distances between some of the track and some of the image, sorted, m."""
     places = scene.geometry[scene.heard, :2]
     some = places[:: max(1, len(places) // 64)]
     ends = np.concatenate([frame.first, frame.first + frame.step * (frame.shape[1] - 1)])[:, :2]
     middle = (ends[: len(frame.first)] + ends[len(frame.first) :]) / 2
     pixels = np.concatenate([ends, middle])[:: max(1, len(ends) // 200)]
-    away = np.sort(np.linalg.norm(some[:, None] - pixels, axis=-1).ravel())
+    return np.sort(np.linalg.norm(some[:, None] - pixels, axis=-1).ravel())
+
+
+def lengths(scene: Scene, away: FloatArray) -> list[float]:
+    """Candidates for the longest groups: fractions of the ground distances `away` of the image, at most the track."""
+    places = scene.geometry[scene.heard, :2]
     track = float(np.linalg.norm(np.ptp(places, axis=0)))
     limits = [float(np.quantile(away, q)) / subapertures.NEAR for q in (0.0, 0.1)]
     found = {min(limit * part, track + 1e-3) for limit in limits for part in (0.95, 0.5, 0.25, 0.12)}

@@ -69,7 +69,7 @@ SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
 # width, rate and half length of the filters that a tree may use, cheapest first
 TAPS = (
-    (4, 1.5, 4), (4, 1.75, 4), (4, 2.0, 4), (6, 1.4, 8), (6, 1.5, 8), (6, 1.6, 8), (6, 1.75, 6), (8, 1.5, 10), (8, 1.6, 10),
+    (6, 1.2, 8), (6, 1.3, 8), (6, 1.4, 8), (6, 1.45, 8), (6, 1.5, 8), (8, 1.4, 10), (8, 1.45, 10), (8, 1.5, 10), (8, 1.6, 10),
     (8, 1.75, 10),
 )  # fmt: skip
 SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band overlaps a little
@@ -419,6 +419,8 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     node = scene.c / (2 * 2 * scene.band * scene.fs * 1.33)
     sums = copy.copy(scene)
     sums.step, sums.slope, sums.line_length = max(scene.step, node), 1.0, max(scene.line_length, 64)
+    away = layouts.grounds(scene, backprojection.Frame(grid, scene, 64))
+    sums.nearest = 0.9 * float(away[0])  # sub-images are sampled over the ground
     block, near, _ = _choose_delay(sums, share, native.NODES["float32"], True, SHARE_ROUNDING)
     if not block:
         return None, "pixels too coarse for float32 blocks: all terms"
@@ -432,7 +434,7 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
                 break
         else:
             continue
-        for length in layouts.lengths(scene, frame):
+        for length in layouts.lengths(scene, away):
             layout = Layout(length, fans, taps, SPARE)
             cost = layouts.seconds(scene, frame, layout)
             if best is None or cost < best[0]:

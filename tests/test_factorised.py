@@ -3,6 +3,10 @@
 Answers are those of pysas.reference.exact on sampled pixels; echoes are random, so that every sample matters.
 """
 
+import subprocess
+import sys
+import textwrap
+
 import numpy as np
 import pytest
 from scenes import SCENES, bright, moving, straight, survey
@@ -232,3 +236,30 @@ def test_taps_are_as_good_as_they_say(width):
             value = weight @ even[k - width // 2 + 1 : k + width // 2 + 1]
             worst = max(worst, abs(value - np.exp(2j * np.pi * f * place)))
     assert 0.5 * taps.worst <= worst <= 1.1 * taps.worst + 2e-6
+
+
+def test_memory_stays_within_the_promise_and_the_estimate():
+    """Peak resident memory: less than three times input and output together, and what the plan predicts."""
+    code = """
+        import resource, numpy as np, pysas
+        rng = np.random.default_rng(0)
+        n = 1536
+        tx = np.zeros((n, 3)); tx[:, 0] = (np.arange(n) - n / 2) * 0.02
+        data = rng.standard_normal((n, 3000, 2), dtype=np.float32).view(np.complex64)[..., 0]
+        echoes = pysas.Echoes(data, fs=40e3, fc=1e5, tx=tx, rx=tx, t0=0.026, bandwidth=30e3)
+        small = pysas.Grid.plane(np.arange(70) * 0.02, 30 + np.arange(40) * 0.02)
+        pysas.backproject(echoes, small, 1e-3, threads=2)
+        grid = pysas.Grid.plane((np.arange(1536) - 768) * 0.02, 30 + np.arange(1536) * 0.02)
+        plan = pysas.plan(echoes, grid, 1e-3, "ffbp", threads=2)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        image = plan(data)
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+        print(grown, plan.predicted_memory, data.nbytes, image.data.nbytes, image.report.factorised_share)
+    """
+    run = [sys.executable, "-c", textwrap.dedent(code)]
+    result = subprocess.run(run, capture_output=True, text=True, timeout=100, check=True)
+    *numbers, share = result.stdout.split()
+    grown, predicted, data, image = (int(v) for v in numbers)
+    assert float(share) > 0.9
+    assert data + grown <= 3 * (data + image)
+    assert grown <= 1.3 * predicted + 16 * 2**20

@@ -24,6 +24,7 @@ void smooth_across(const Kernels& kernels, const Tree& tree, const SubImage* ima
         for (std::int64_t m = 0; m < images[i].stride; m += columns)
             pieces.push_back({i, m, std::min(m + columns, images[i].stride)});
     }
+    Scratch scratch;
     run(
         static_cast<std::int64_t>(pieces.size()), threads,
         [&](std::int64_t task) {
@@ -38,10 +39,11 @@ void smooth_across(const Kernels& kernels, const Tree& tree, const SubImage* ima
                 }
             }
             if (last - first <= 2 * tree.taps->half) return;
-            std::vector<float> work(static_cast<std::size_t>((last - first) * block));
+            auto work = scratch.take(static_cast<std::size_t>((last - first) * block));
             for (float* plane : {image.re, image.im})
                 kernels.smooth_across(*tree.taps, plane, image.stride, first, last, piece.begin, piece.end,
                                       work.data());
+            scratch.give(std::move(work));
         },
         tick);
 }
@@ -71,7 +73,7 @@ void smooth_along(const Kernels& kernels, const Tree& tree, const SubImage* imag
 }  // namespace
 
 Taps make_taps(int count, const float* even, const float* odd, const float* tap, const float* filter, int half) {
-    if ((count != 4 && count != 6 && count != 8) || half < 0 || half > max_smoothing)
+    if ((count != 6 && count != 8) || half < 0 || half > max_smoothing)
         throw Error(Code::argument, "taps: a count or a filter that no kernel has");
     Taps taps{};
     taps.count = count;
@@ -177,11 +179,12 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
         for (std::int64_t c = span[i]; c < span[i + 1]; ++c) longest = std::max(longest, children[c].stride);
     }
     const std::int64_t room = (longest / block + 4) * block;
+    Scratch scratch;
     run(
         static_cast<std::int64_t>(pieces.size()), threads,
         [&](std::int64_t task) {
             const Piece& piece = pieces[static_cast<std::size_t>(task)];
-            std::vector<float> work(static_cast<std::size_t>(6 * room));
+            auto work = scratch.take(static_cast<std::size_t>(6 * room));
             MergeJob job{&tree,
                          images + piece.image,
                          children + span[piece.image],
@@ -192,6 +195,7 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
                          smooth,
                          work.data()};
             for (job.ray = piece.begin; job.ray < piece.end; ++job.ray) kernels.merge(job);
+            scratch.give(std::move(work));
         },
         tick);
     if (last) smooth_across(kernels, tree, images, n_image, threads, tick);

@@ -3,6 +3,9 @@
 
 #include <cstdint>
 #include <functional>
+#include <mutex>
+#include <utility>
+#include <vector>
 
 namespace pysas {
 
@@ -13,5 +16,32 @@ using Tick = std::function<bool(double)>;
 // first exception of a task ends the others after their current task and is thrown here; a tick that returns false
 // throws Error(cancelled).
 void run(std::int64_t count, int threads, const std::function<void(std::int64_t)>& body, const Tick& tick);
+
+// Working memory that tasks of one call borrow, so that each worker allocates once and not for every task.
+class Scratch {
+  public:
+    using Buffer = std::vector<float>;
+
+    Buffer take(std::size_t size) {
+        Buffer out;
+        {
+            const std::lock_guard<std::mutex> lock(guard_);
+            if (!free_.empty()) {
+                out = std::move(free_.back());
+                free_.pop_back();
+            }
+        }
+        if (out.size() < size) out.resize(size);
+        return out;
+    }
+    void give(Buffer&& buffer) {
+        const std::lock_guard<std::mutex> lock(guard_);
+        free_.push_back(std::move(buffer));
+    }
+
+  private:
+    std::mutex guard_;
+    std::vector<Buffer> free_;
+};
 
 }  // namespace pysas

@@ -367,14 +367,10 @@ void merge_taps(const MergeJob& job) {
 
 template <class V>
 void merge(const MergeJob& job) {
-    switch (job.tree->taps->count) {
-        case 4:
-            return merge_taps<V, 4>(job);
-        case 6:
-            return merge_taps<V, 6>(job);
-        default:
-            return merge_taps<V, 8>(job);
-    }
+    if (job.tree->taps->count == 6)
+        merge_taps<V, 6>(job);
+    else
+        merge_taps<V, 8>(job);
 }
 
 template <class V, int W>
@@ -483,12 +479,8 @@ void read_taps_lines(ReadJob& job) {
 
 template <class V>
 void read_lines(ReadJob& job) {
-    switch (job.tree->taps->count) {
-        case 4:
-            return read_taps_lines<V, 4>(job);
-        case 6:
-            return read_taps_lines<V, 6>(job);
-        default:
-            return read_taps_lines<V, 8>(job);
-    }
+    if (job.tree->taps->count == 6)
+        read_taps_lines<V, 6>(job);
+    else
+        read_taps_lines<V, 8>(job);
 }

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pysas._checks import FloatArray
 
 IntArray = npt.NDArray[np.int64]
-WIDTHS = (4, 6, 8)  # taps the kernels are compiled for
+WIDTHS = (6, 8)  # taps the kernels are compiled for
 PLACE, SHAPE = 7, 5  # columns: centre (3), plane, first angle, angle step, node step; i0, rays, stride, offset, first range
 
 
