@@ -136,7 +136,7 @@ def sweep():
         "wide swath, 1024 pings, 2048 x 256": stripmap(1024, 2048, 256, pixel=0.04),
     }
     for name, (echoes, grid) in scenes.items():
-        for tol in (1e-1, 1e-2, 1e-3, 1e-4, 3e-5):
+        for tol in (1e-1, *TOLS):
             print(line(name, tol, compare(echoes, grid, tol, pixels=300)), flush=True)
 
 

@@ -168,7 +168,8 @@ def test_demo_scene_has_its_dark_object():
 @pytest.mark.parametrize(
     ("name", "heights"), [("stripmap_perturbed", (8.0, 7.5, 7.2)), ("circular", (5.0, 4.8))], ids=["stripmap", "circular"]
 )
-def test_every_target_of_data_made_elsewhere_within_1_mm(data_dir, name, heights, capsys):
+@pytest.mark.parametrize("method", ["backprojection", "ffbp"])
+def test_every_target_of_data_made_elsewhere_within_1_mm(data_dir, name, heights, method, capsys):
     """truth_position of the openSTB-simulated files; one run per depth on the default grid, cropped for speed."""
     truth = pysas.load(data_dir / f"{name}.npz").attrs["truth_position"]
     found = 0
@@ -176,8 +177,9 @@ def test_every_target_of_data_made_elsewhere_within_1_mm(data_dir, name, heights
         here = truth[np.abs(truth[:, 2] - z) < 1e-3]
         spans = [f"{v.min() - 0.3}:{v.max() + 0.3}" for v in here.T[:2]]
         code, out, _ = run(
-            "image", data_dir / f"{name}.npz", "--z", z, f"--x={spans[0]}", f"--y={spans[1]}", "--json", capsys=capsys
-        )
+            "image", data_dir / f"{name}.npz", "--z", z, f"--x={spans[0]}", f"--y={spans[1]}", "--json", "--method", method,
+            capsys=capsys,
+        )  # fmt: skip
         targets = json.loads(out)["targets"]
         assert code == 0 and max(t["error_mm"] for t in targets) < 1.0
         found += len(targets)
