@@ -75,7 +75,7 @@ def ffbp(
 
     Notes
     -----
-    Memory beyond input and image: one batch of tables (about 25 MB) and the sub-images of one of the longest groups.
+    Memory beyond input and image: one batch of tables (about 25 MB) and of leaves, and one sub-image of each level above.
     """
     from pysas import backprojection, planner
 
