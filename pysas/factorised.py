@@ -111,7 +111,7 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling; largest step, m."""
+    """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling."""
 
     length: float
     fans: tuple[int, ...]
@@ -131,7 +131,6 @@ class Forest:
     choices: Choices
     share: float
     seconds: float = 0.0
-    errors: dict[str, float] = field(default_factory=dict)
 
     @property
     def trees(self) -> list[Tree]:
@@ -208,7 +207,6 @@ def _fates(
     read = active & (nearest >= np.maximum(subapertures.NEAR * members.extent, near)) & (radius <= WIDE * ground)
     # nodes that a read depends on lie this much further out or in, and to the sides
     reach = (len(layout.fans) + 1) * (layout.taps.reach + 4) * step
-    direct = np.zeros_like(active)
     some = order[:: max(1, len(order) // 32)]
     geometry = scene.geometry[some]
     places = subapertures.phase_centres(scene.geometry[order], 0.0)
@@ -230,8 +228,7 @@ def _fates(
             angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.minimum(1, lateral / np.maximum(there, 1e-9)))
             inside &= (angle <= np.arccos(scene.cos_beam)) & (lateral < there)
     read &= inside
-    direct = active & heard & ~read
-    return read, direct
+    return read, active & heard & ~read
 
 
 def grow(scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float) -> Forest | None:
