@@ -38,10 +38,14 @@ TREE_NS = {
     "avx512": (0.9, 5.0, (1.0, 0.7), (9.0, 1.2)),
     "avx2": (1.3, 6.0, (1.5, 1.1), (9.0, 1.2)),
     "baseline": (3.5, 20.0, (10.0, 4.0), (10.0, 20.0)),
+    "numba": (3.3, 8.0, (3.0, 1.5), (15.0, 5.0)),
 }
 
 
-def tree_ns(width: int, isa: str) -> tuple[float, float, float, float]:
-    """Predicted cost of a leaf's term, of a leaf's node, of a parent's node a child, and of a pixel read, ns."""
-    term, node, merge, read = TREE_NS[isa]
+def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
+    """Predicted cost of a leaf's term, of a leaf's node, of a parent's node a child, and of a pixel read, ns.
+
+    `runs` is an instruction set or "numba".
+    """
+    term, node, merge, read = TREE_NS[runs]
     return term, node, merge[0] + merge[1] * width, read[0] + read[1] * width

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from pysas import subapertures
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import MOVING, native
+from pysas.engine import MOVING
+from pysas.engine.steps import Setting, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages, Taps
 from pysas.image import Image
@@ -59,8 +60,8 @@ def ffbp(
         Relative error that is kept, as in `backproject`.
     fallback : bool
         Whether terms that cannot be factorised, or not within `tol`, are summed directly: pixels near the track or across
-        the ends of records or beams, surfaces and lists of points, tolerances below 3e-5, the Numba engine. False: an
-        error says why. `image.report.factorised_share` tells how much went through the tree.
+        the ends of records or beams, surfaces and lists of points, tolerances below 3e-5. False: an error says
+        why. `image.report.factorised_share` tells how much went through the tree.
     threads, backend, weights, nan, out, progress
         As in `backproject`.
 
@@ -311,21 +312,18 @@ def accumulate(
     image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
 ) -> Totals:  # fmt: skip
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
-    forest, choices, threads, reader = plan.forest, plan.choices, plan.threads, plan.reader
-    assert forest is not None and isinstance(reader, native.Reader)
-    engine, frame, scene, taps = native.core(), forest.frame, forest.scene, forest.layout.taps
+    forest, choices, threads = plan.forest, plan.choices, plan.threads
+    assert forest is not None
+    frame, scene = forest.frame, forest.scene
     traces = samples if samples.ndim == 3 else samples[:, None, :]
-    nodes, fit = native.nodes(5)
-    shared = engine.Tree(
-        taps.even, taps.odd, taps.tap, taps.filter, 2 * scene.fc / scene.c, carrier[0], carrier[1], nodes, fit
-    )  # fmt: skip
     stores: dict[int, Any] = {}
     prepared = summed = 0.0
     terms = 0
     trees = [(sheet, t) for sheet in forest.sheets for t in sheet.trees]
     whole = sum(len(t.order) for _, t in trees)
     longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
-    table = native.empty_table(reader, longest, np.float32)
+    setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, threads, isa)
+    engine = steps(setting, plan.reader, longest)
     done = 0
 
     def store(level: int, size: int) -> Any:
@@ -344,12 +342,10 @@ def accumulate(
             stop = min(end, int(span[parent + 1]))
             children, level = levels[below].part(begin, stop), levels[below + 1].part(parent, parent + 1)
             last = stop == span[parent + 1]
-            shape = children.shape.copy()
-            shape[:, 3] += levels[below].shape[begin, 3] - levels[below].shape[whole_from, 3]
+            children.shape[:, 3] += levels[below].shape[begin, 3] - levels[below].shape[whole_from, 3]
             engine.merge(
-                shared, np.array([0, stop - begin]), children.place, shape, children.range, stores[below], level.place,
-                level.shape, level.range, store(below + 1, level.size), begin > span[parent], last,
-                last and below + 2 == len(levels), threads, isa, None,
+                children, stores[below], level, store(below + 1, level.size), begin > span[parent], last,
+                last and below + 2 == len(levels),
             )  # fmt: skip
             if last and below + 2 < len(levels):
                 rise(levels, below + 1, parent, parent + 1)
@@ -360,20 +356,15 @@ def accumulate(
         part_of = image[sheet.begin : sheet.end]
         direct = _pixels(t.direct, sheet, frame.count) if t.direct.any() else None
         survey = survey_of(t.order)
-        weights = survey.weights
         kept = used[t.order]
         if not kept.all():
-            weights = np.where(kept, 1.0 + 0j if weights is None else weights, 0)
+            survey = replace(survey, weights=np.where(kept, 1.0 + 0j if survey.weights is None else survey.weights, 0))
         for begin, end, leaf0, leaf1 in batches(t, choices.batch):
             clock = time.perf_counter()
-            rows = table[: end - begin]
-            flat = t.order[begin:end]
-            w = None if weights is None else weights[begin:end]
-            native.fill(traces, flat, survey.start[begin:end], w, scale, reader, rows, threads, isa)
-            rows[~kept[begin:end]] = 0
+            batch = survey.part(begin, end)
+            engine.prepare(traces, t.order[begin:end], batch, kept[begin:end], scale)
             now = time.perf_counter()
             prepared += now - clock
-            geometry = survey.geometry[begin:end]
 
             def tick(share: float, done: float = done + begin, more: int = end - begin) -> None:
                 if progress is not None:
@@ -382,18 +373,11 @@ def accumulate(
             if t.subtree is not None:
                 levels = t.subtree.levels
                 level = levels[0].part(leaf0, leaf1)
-                engine.leaves(
-                    shared, rows, reader.filter.degree, trigonometry[0], trigonometry[1], geometry, survey.model, survey.kind,
-                    level.span, level.place, level.shape, level.range, store(0, level.size), choices.block,
-                    len(levels) == 1, threads, isa, tick,
-                )  # fmt: skip
+                engine.leaves(batch, level, store(0, level.size), choices.block, len(levels) == 1, tick)
                 if len(levels) > 1:
                     rise(levels, 0, leaf0, leaf1)
             if direct is not None:
-                terms += engine.add(
-                    rows, reader.filter.degree, trigonometry[0], trigonometry[1], geometry, survey.model, survey.kind,
-                    nodes, fit, first, step, None, direct, frame.count, part_of, threads, isa, tick,
-                )  # fmt: skip
+                terms += engine.direct(batch, first, step, direct, frame.count, part_of, tick)
             summed += time.perf_counter() - now
         done += len(t.order)
         if t.subtree is None:
@@ -401,10 +385,7 @@ def accumulate(
         now = time.perf_counter()
         levels = t.subtree.levels
         top = levels[-1]
-        engine.read(
-            shared, top.place, top.shape, top.range, stores[len(levels) - 1], first, step, sheet.mask, frame.count,
-            t.read.astype(np.uint8), part_of, threads, isa, None,
-        )  # fmt: skip
+        engine.read(top, stores[len(levels) - 1], first, step, sheet.mask, frame.count, t.read, part_of)
         terms += int(np.count_nonzero(kept)) * _wanted(t.read, sheet, frame.count)
         summed += time.perf_counter() - now
         if progress is not None:

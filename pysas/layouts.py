@@ -10,7 +10,6 @@ import numpy as np
 from pysas import subapertures
 from pysas._checks import FloatArray
 from pysas.costs import tree_ns
-from pysas.engine import native
 from pysas.factorised import Layout
 from pysas.scene import Scene
 
@@ -37,8 +36,8 @@ def lengths(scene: Scene, away: FloatArray) -> list[float]:
     return sorted(v for v in found if v > 0)
 
 
-def seconds(scene: Scene, frame: Frame, layout: Layout) -> float:
-    """Predicted seconds of all groups on one thread, from a group in the middle of the track."""
+def seconds(scene: Scene, frame: Frame, layout: Layout, runs: str) -> float:
+    """Predicted seconds of all groups on one thread of `runs`, from a group in the middle of the track."""
     traces = np.flatnonzero(scene.heard)
     places = scene.geometry[traces, :2]
     path = float(np.sum(np.linalg.norm(np.diff(places[:: max(1, len(places) // 256)], axis=0), axis=1)))
@@ -69,7 +68,7 @@ def seconds(scene: Scene, frame: Frame, layout: Layout) -> float:
         mean = area / max(spread, 1e-9)
         nodes.append((rays + reach) * (min(mean + reach * beam * mean, depth + mean) / step + reach))
         length /= max(fan, 1)
-    leaf_term, leaf, merge, read = tree_ns(taps.width, native.isa_name())
+    leaf_term, leaf, merge, read = tree_ns(taps.width, runs)
     per_leaf = len(traces) / groups / math.prod(layout.fans)
     work = nodes[-1] * math.prod(layout.fans) * (per_leaf * leaf_term + leaf)
     parts = 1

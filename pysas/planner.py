@@ -406,8 +406,6 @@ def _direct_seconds(scene: Scene, tol: float, backend: str) -> float:
 def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
     from pysas import backprojection
 
-    if backend != "cpp":
-        return None, "the Numba engine has no tree: all terms"
     if scene.lines is None:
         return None, "pixels on no even lines: all terms"
     if tol < TREE_TOL * (1 - 1e-9):
@@ -421,10 +419,12 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     sums.step, sums.slope, sums.line_length = max(scene.step, node), 1.0, max(scene.line_length, 64)
     away = layouts.grounds(scene, backprojection.Frame(grid, scene, 64))
     sums.nearest = 0.9 * float(away[0])  # sub-images are sampled over the ground
-    block, near, _ = _choose_delay(sums, share, native.NODES["float32"], True, SHARE_ROUNDING)
+    nodes = native.NODES["float32"] if backend == "cpp" else NODES
+    block, near, _ = _choose_delay(sums, share, nodes, True, SHARE_ROUNDING)
     if not block:
         return None, "pixels too coarse for float32 blocks: all terms"
     frame = backprojection.Frame(grid, scene, _even_split(scene.line_length, block))
+    runs = native.isa_name() if backend == "cpp" else backend
     best: tuple[float, Layout] | None = None
     for fans in FANS:
         stages = len(fans) + 1
@@ -436,7 +436,7 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
             continue
         for length in layouts.lengths(scene, away):
             layout = Layout(length, fans, taps, SPARE)
-            cost = layouts.seconds(scene, frame, layout)
+            cost = layouts.seconds(scene, frame, layout, runs)
             if best is None or cost < best[0]:
                 best = (cost, layout)
     if best is None:
@@ -448,7 +448,6 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         forest = factorised.grow(scene, frame, frame.mask, layout, near)
     if forest is None or not any(t.read.any() for t in forest.trees):
         return None, "no pixel far enough from all groups of pings: all terms"
-    forest.seconds = best[0]
     sums.first, sums.last = forest.scene.first, forest.scene.last
     grown = [t.subtree.levels[0] for t in forest.trees if t.subtree is not None]
     sums.slope = max(scene.step * scene.slope, forest.step) / sums.step  # along rays range changes with every node
@@ -456,6 +455,7 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     choices = _choose(sums, share, backend, SHARE_ROUNDING)
     errors = choices.errors | {"sub-images": _tree_error(best[1].taps, len(best[1].fans) + 1)}
     forest.choices = dataclasses.replace(choices, block=min(choices.block, block), errors=errors)
+    forest.seconds = best[0]
     return forest, ""
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import pysas
 from pysas import _pool
-from pysas.engine import _numba, backend_name, native, preparation
+from pysas.engine import _numba, backend_name, native, preparation, summation
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
@@ -169,3 +169,26 @@ def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, st
             worst = max(worst, float(np.max(np.abs(np.polynomial.polynomial.polyval(t, q) - exact))))
     assert filter.error <= error
     assert 0.8 * filter.error < worst < 1.02 * filter.error
+
+
+def test_numba_reads_only_its_own_traces(monkeypatch):
+    """A line's last block ends where the line does: coarse pixels beyond it would need samples that were not prepared."""
+    axis = np.arange(65) * 0.3  # one pixel more than a block
+    tx = np.zeros((4, 3)) + [0.0, -30.0, 5.0]
+    echoes = pysas.Echoes(
+        np.ones((4, 4000), np.complex64), fs=40e3, fc=1e5, tx=tx, rx=tx, c=1500.0, t0=2 * 20 / 1500, bandwidth=30e3
+    )  # fmt: skip
+    seen = []
+    kernel = summation._numba.sum_tile
+
+    def watched(coords, blocks, straight, active, geometry, model, kind, table, x, *rest):
+        out = rest[-1]
+        assert out.shape[1] == x.size
+        pixels = blocks[:, None, :3] + np.arange(x.size)[:, None] * blocks[:, None, 3:]
+        interval = (2 / 1500 * np.linalg.norm(pixels - geometry[0, :3], axis=-1) - geometry[0, 12]) * model[2] - geometry[0, 13]
+        seen.append((interval.max() * model[3], table.size / len(geometry) / (4 * len(rest[-2]))))
+        return kernel(coords, blocks, straight, active, geometry, model, kind, table, x, *rest)
+
+    monkeypatch.setattr(summation._numba, "sum_tile", watched)
+    pysas.backproject(echoes, pysas.Grid.plane(axis, axis[:40]), 1e-2, backend="numba")
+    assert len(seen) > 2 and all(last <= room for last, room in seen)

@@ -39,6 +39,11 @@ class Survey:
     kind: int
     model: FloatArray
 
+    def part(self, begin: int, end: int) -> Survey:
+        """Traces [begin, end)."""
+        weights = None if self.weights is None else self.weights[begin:end]
+        return Survey(self.geometry[begin:end], self.start[begin:end], weights, self.kind, self.model)
+
 
 @dataclass(frozen=True)
 class Tile:
@@ -72,6 +77,49 @@ def peaks(data: ComplexArray, threads: int) -> FloatArray:
     return found
 
 
+def chebyshev() -> tuple[FloatArray, FloatArray]:
+    """Nodes of the delay polynomials in [-1, 1], and the matrix from values there to coefficients of powers."""
+    nodes = np.cos(np.pi * (2 * np.arange(_numba.NODES)[::-1] + 1) / (2 * _numba.NODES))
+    nodes[_numba.NODES // 2] = 0.0
+    return nodes, np.linalg.inv(np.vander(nodes, increasing=True))
+
+
+def places(count: int, real: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Places of a block's pixels in [-1, 1]."""
+    return np.linspace(-1, 1, count).astype(real) if count > 1 else np.zeros(1, real)
+
+
+def prepare(
+    traces: ComplexArray,
+    part: npt.NDArray[np.int64],
+    start: npt.NDArray[np.int64],
+    weights: ComplexArray | None,
+    scale: float,
+    reader: Interpolator,
+    table: npt.NDArray[Any],
+    threads: int,
+    kept: npt.NDArray[np.bool_] | None = None,
+) -> None:
+    """Tables of traces `part` (flat numbers) of (ping, channel, sample); zeros for those not `kept`."""
+    at_once = rows_per_task(reader.n_fine)
+
+    def transform(task: int) -> None:
+        rows = np.arange(task * at_once, min((task + 1) * at_once, part.size))
+        if kept is not None:
+            table[rows[~kept[rows]]] = 0
+            rows = rows[kept[rows]]  # the others may hold anything
+        if rows.size:
+            factors = None if weights is None else weights[rows]
+            cut = segments(traces, part[rows], start[rows], factors, scale, reader, table.dtype)
+            whole = rows.size == rows[-1] + 1 - rows[0]
+            out = table[rows[0] : rows[-1] + 1] if whole else np.empty((rows.size, *table.shape[1:]), table.dtype)
+            coefficients(cut, reader, out)
+            if not whole:
+                table[rows] = out
+
+    pool.run(transform, -(-part.size // at_once), threads)
+
+
 def accumulate(
     data: ComplexArray,
     order: npt.NDArray[np.int64],
@@ -97,15 +145,11 @@ def accumulate(
     traces = data if data.ndim == 3 else data[:, None, :]
     kind = np.dtype(real)
     complex_kind = np.dtype(np.complex64 if kind == np.float32 else np.complex128)
-    nodes = np.cos(np.pi * (2 * np.arange(_numba.NODES)[::-1] + 1) / (2 * _numba.NODES))
-    nodes[_numba.NODES // 2] = 0.0
-    fit = np.linalg.inv(np.vander(nodes, increasing=True))
-    x = np.linspace(-1, 1, count).astype(kind) if count > 1 else np.zeros(1, kind)
+    nodes, fit = chebyshev()
     scalar: Any = kind.type
     sines, cosines = (tuple(scalar(v) for v in terms) for terms in trigonometry)
     pairs = (0,) * ((reader.degree + 1) // 2)
     half = scalar(0.5)
-    at_once = rows_per_task(reader.n_fine)
     counted = np.zeros(len(tiles), dtype=np.int64)
     prepared = summed = 0.0
     batches = range(0, len(order), batch)
@@ -113,16 +157,8 @@ def accumulate(
         part = order[begin : begin + batch]
         clock = time.perf_counter()
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
-
-        def prepare(task: int, part: npt.NDArray[np.int64] = part, begin: int = begin, table: Any = table) -> None:
-            rows = slice(task * at_once, (task + 1) * at_once)
-            kept = slice(begin + rows.start, begin + rows.stop)
-            weights = None if survey.weights is None else survey.weights[kept]
-            coefficients(
-                segments(traces, part[rows], survey.start[kept], weights, scale, reader, complex_kind), reader, table[rows]
-            )
-
-        pool.run(prepare, -(-part.size // at_once), threads)
+        weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
+        prepare(traces, part, survey.start[begin : begin + part.size], weights, scale, reader, table, threads)
         geometry = survey.geometry[begin : begin + part.size].copy()
         geometry[:, _numba.FIRST] = np.arange(part.size) * reader.intervals
         flat_table = table.reshape(-1).view(kind)
@@ -134,15 +170,17 @@ def accumulate(
             coords, blocks, active = locate(tile)
             if not active.any():
                 return
-            out = np.zeros((blocks.shape[0], count), dtype=complex_kind)
+            # a line's last block ends with it: no samples were prepared for pixels beyond
+            width = min(count, tile.right - tile.left) if straight else count
+            out = np.zeros((blocks.shape[0], width), dtype=complex_kind)
             terms = _numba.sum_tile(
-                coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, x, nodes, fit, half,
-                sines, cosines, pairs, out,
+                coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, places(width, kind), nodes,
+                fit, half, sines, cosines, pairs, out,
             )  # fmt: skip
             pixels = (tile.last - tile.first) * (tile.right - tile.left)
             counted[task] += terms * pixels // out.size
-            if straight or tile.right - tile.left == count:
-                image[tile.first : tile.last, tile.left : tile.right] += out[:, : tile.right - tile.left]
+            if straight:
+                image[tile.first : tile.last, tile.left : tile.right] += out
             else:
                 image[tile.first : tile.last, tile.left : tile.right] += out.reshape(-1)[:pixels]
 
