@@ -11,6 +11,7 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from pysas import subapertures
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import MOVING
+from pysas.engine import MOVING, native
 from pysas.engine.steps import Setting, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages, Taps
@@ -112,12 +113,16 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling."""
+    """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling.
+
+    `clear`: slant range (m) that nodes must have.
+    """
 
     length: float
     fans: tuple[int, ...]
     taps: Taps
     spare: float
+    clear: float
 
 
 @dataclass
@@ -127,6 +132,7 @@ class Forest:
     scene: Scene
     frame: Frame
     layout: Layout
+    rate: Fraction  # nodes per sample
     step: float
     sheets: list[Sheet]
     choices: Choices
@@ -198,16 +204,19 @@ def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet] | No
 
 def _fates(
     scene: Scene, order: npt.NDArray[np.int64], members: subapertures.Group, corners: FloatArray, active: BoolArray,
-    layout: Layout, step: float, near: float,
+    layout: Layout, step: float, plane: float, near: float,
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
     """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted."""
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
     ground = np.linalg.norm(middle[:, :2] - members.centre[:2], axis=1)
     nearest = ground - radius
-    read = active & (nearest >= np.maximum(subapertures.NEAR * members.extent, near)) & (radius <= WIDE * ground)
     # nodes that a read depends on lie this much further out or in, and to the sides
     reach = (len(layout.fans) + 1) * (layout.taps.reach + 4) * step
+    height = float(members.centre[2]) - plane
+    least = max(float(np.hypot(subapertures.NEAR * members.extent, height)), layout.clear)
+    away = subapertures.slant(np.maximum(nearest, 0), height)
+    read = active & (away >= near) & (away - reach >= least) & (radius <= WIDE * ground)
     some = order[:: max(1, len(order) // 32)]
     geometry = scene.geometry[some]
     places = subapertures.phase_centres(scene.geometry[order], 0.0)
@@ -249,7 +258,7 @@ def grow(scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout:
     step = scene.c / (2 * medium.bandwidth * layout.taps.rate)
     for sheet in found:
         for i, (members, _) in enumerate(groups):
-            read, direct = _fates(scene, pieces[i], members, sheet.corners, sheet.active, layout, step, near)
+            read, direct = _fates(scene, pieces[i], members, sheet.corners, sheet.active, layout, step, sheet.plane, near)
             fates[id(sheet), i] = read, direct
             if read.any():
                 angle, bearings, grounds = Reads(sheet.corners).seen_from(members.centre, np.flatnonzero(read))
@@ -260,7 +269,9 @@ def grow(scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout:
                         members, scene.geometry, medium, sheet.plane, angles, np.linspace(grounds.min(), grounds.max(), 4)
                     )[1],
                 )
-    step = 1 / (2 * layout.taps.rate * layout.spare * highest) if highest > 1e-9 else step
+    # and as long as a table's intervals, of which there are a simple number to a sample
+    rate = native.simple_rate(scene.c * layout.taps.rate * layout.spare * highest / scene.fs)
+    step = scene.c * rate.denominator / (2 * scene.fs * rate.numerator)
     wider = copy.copy(scene)
     wider.first, wider.last = scene.first.copy(), scene.last.copy()
     through = everything = 0
@@ -283,7 +294,7 @@ def grow(scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout:
             everything += len(traces) * int(pixels[read | direct].sum())
     if not any(sheet.trees for sheet in found):
         return None
-    return Forest(wider, frame, layout, step, found, None, through / max(everything, 1))  # type: ignore[arg-type]
+    return Forest(wider, frame, layout, rate, step, found, None, through / max(everything, 1))  # type: ignore[arg-type]
 
 
 def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
@@ -294,9 +305,8 @@ def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
         i0, rays, _, _, first = leaves.shape[i]
         ends = leaves.range[first : first + rays]
         ends = ends[ends[:, 0] < ends[:, 1]] + i0
-        centre, height = leaves.place[i, :3], leaves.place[i, 2] - leaves.place[i, 3]
-        low = np.hypot((ends[:, 0].min() - 1) * step, height)
-        high = np.hypot((ends[:, 1].max() + 1) * step, height)
+        centre = leaves.place[i, :3]
+        low, high = (ends[:, 0].min() - 1) * step, (ends[:, 1].max() + 1) * step
         g = scene.geometry[traces]
         apart = np.linalg.norm(g[:, 0:3] - centre, axis=1) + np.linalg.norm(g[:, 3:6] - centre, axis=1)
         speed = np.linalg.norm(g[:, 6:9], axis=1)
@@ -373,7 +383,7 @@ def accumulate(
             if t.subtree is not None:
                 levels = t.subtree.levels
                 level = levels[0].part(leaf0, leaf1)
-                engine.leaves(batch, level, store(0, level.size), choices.block, len(levels) == 1, tick)
+                engine.leaves(batch, level, store(0, level.size), choices.errors["drift"], len(levels) == 1, tick)
                 if len(levels) > 1:
                     rise(levels, 0, leaf0, leaf1)
             if direct is not None:

@@ -7,16 +7,17 @@ the same geometry. `print(plan)` and `plan.explain()` say what was chosen and wh
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import functools
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
+import scipy.optimize
 from numpy.polynomial import Chebyshev, Polynomial
 
 from pysas import _checks, engine, factorised, layouts
@@ -233,8 +234,10 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
         raise ValueError(f"tol={tol:g}: {echoes.dtype} data over {scene.farthest:.4g} m reach {least:.3g} at best{hint}")
 
 
-def _choose(scene: Scene, tol: float, backend: str = "numba", rounding: float = 3 * SHARE_PHASE) -> Choices:
-    """The cheapest settings whose bounds sum to at most tol."""
+def _choose(
+    scene: Scene, tol: float, backend: str = "numba", rounding: float = 3 * SHARE_PHASE, rate: Fraction | None = None
+) -> Choices:
+    """The cheapest settings whose bounds sum to at most tol; in C++ for tables of `rate`, where leaves want one."""
     single = scene.dtype == np.complex64 or tol >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
@@ -250,10 +253,16 @@ def _choose(scene: Scene, tol: float, backend: str = "numba", rounding: float = 
     errors["sine and cosine"] = wrong
     kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
     shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
-    return (_choose_filter if backend == "cpp" else _choose_transform)(scene, tol, errors, shared)
+    if rate is not None:
+        errors["drift"] = SHARE_PHASE * tol
+    if backend == "numba":
+        return _choose_transform(scene, tol, errors, shared)
+    return _choose_filter(scene, tol, errors, shared, rate)
 
 
-def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices:
+def _choose_filter(
+    scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None
+) -> Choices:
     """C++: coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
 
     W (see pysas.reference.exact) says how a record's end is read, and its long response needs transforms: one forward, one
@@ -273,8 +282,9 @@ def _choose_filter(scene: Scene, tol: float, errors: dict[str, float], shared: d
         length = int(np.max(scene.last[heard] - scene.first[heard], initial=0)) + 4
     left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
     best: tuple[float, native.Filter] | None = None
+    rates = native.RATES if fixed is None else ((fixed.numerator, fixed.denominator * double),)
     for degree in native.DEGREES[shared["precision"]]:
-        for phases, step in native.RATES:
+        for phases, step in rates:
             # a polynomial's own error, before any filter is made: near-minimax for this phase advance
             theta = np.pi * band * step / phases
             if theta ** (degree + 1) / (math.factorial(degree + 1) * 2**degree) > 1.5 * left:
@@ -412,17 +422,15 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         return None, f"tol below {TREE_TOL:g}: all terms"
     if not scene.heard.any():
         return None, "the grid lies outside the recorded window: all terms"
-    # delay polynomials must hold along the image's lines and along the leaves' rays, whose nodes are as dense as the band asks
     share = SHARE_LEAVES * tol
-    node = scene.c / (2 * 2 * scene.band * scene.fs * 1.33)
-    sums = copy.copy(scene)
-    sums.step, sums.slope, sums.line_length = max(scene.step, node), 1.0, max(scene.line_length, 64)
-    away = layouts.grounds(scene, backprojection.Frame(grid, scene, 64))
-    sums.nearest = 0.9 * float(away[0])  # sub-images are sampled over the ground
     nodes = native.NODES["float32"] if backend == "cpp" else NODES
-    block, near, _ = _choose_delay(sums, share, nodes, True, SHARE_ROUNDING)
+    block, near, _ = _choose_delay(scene, share, nodes, True, SHARE_ROUNDING)
     if not block:
         return None, "pixels too coarse for float32 blocks: all terms"
+    planes = scene.lines[0][:, 2] - scene.origin[2]
+    heights = scene.geometry[scene.heard][:, [2, 5]]
+    height = float(max(heights.max() - planes.min(), planes.max() - heights.min()))
+    away = layouts.grounds(scene, backprojection.Frame(grid, scene, 64))
     frame = backprojection.Frame(grid, scene, _even_split(scene.line_length, block))
     runs = native.isa_name() if backend == "cpp" else backend
     best: tuple[float, Layout] | None = None
@@ -435,7 +443,7 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         else:
             continue
         for length in layouts.lengths(scene, away):
-            layout = Layout(length, fans, taps, SPARE)
+            layout = Layout(length, fans, taps, SPARE, _clear(scene, height, length / math.prod(fans), taps.rate, share))
             cost = layouts.seconds(scene, frame, layout, runs)
             if best is None or cost < best[0]:
                 best = (cost, layout)
@@ -444,19 +452,41 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     layout = best[1]
     forest = factorised.grow(scene, frame, frame.mask, layout, near)
     while whole and forest is not None and forest.share < 1 and layout.length > best[1].length / 8:
-        layout = dataclasses.replace(layout, length=layout.length * 0.7)
+        length = layout.length * 0.7
+        clear = _clear(scene, height, length / math.prod(layout.fans), layout.taps.rate, share)
+        layout = dataclasses.replace(layout, length=length, clear=clear)
         forest = factorised.grow(scene, frame, frame.mask, layout, near)
     if forest is None or not any(t.read.any() for t in forest.trees):
         return None, "no pixel far enough from all groups of pings: all terms"
-    sums.first, sums.last = forest.scene.first, forest.scene.last
-    grown = [t.subtree.levels[0] for t in forest.trees if t.subtree is not None]
-    sums.slope = max(scene.step * scene.slope, forest.step) / sums.step  # along rays range changes with every node
-    sums.pixels = max(1, sum(level.nodes for level in grown) // sum(len(level) for level in grown))
-    choices = _choose(sums, share, backend, SHARE_ROUNDING)
+    choices = _choose(forest.scene, share, backend, SHARE_ROUNDING, forest.rate)
     errors = choices.errors | {"sub-images": _tree_error(best[1].taps, len(best[1].fans) + 1)}
-    forest.choices = dataclasses.replace(choices, block=min(choices.block, block), errors=errors)
+    forest.choices = dataclasses.replace(choices, errors=errors)
     forest.seconds = best[0]
     return forest, ""
+
+
+def _clear(scene: Scene, height: float, extent: float, rate: float, tol: float) -> float:
+    """Slant range from which the delay polynomials of a leaf's rays hold, for leaves of `extent` m at most `height` up.
+
+    Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where x/r has
+    the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r. Polynomials
+    through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both ways.
+    """
+    heard = scene.geometry[scene.heard]
+    reach = extent / 2 + float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1))) / 2
+    half = 31.5 * scene.c / (4 * scene.band * scene.fs * rate)
+    k = np.arange(1, 400)
+    powers = np.cumprod(np.concatenate([[0.5], (k[:-1] - 0.5) / (k[:-1] + 1)])) * np.prod(2 * k[:, None] + np.arange(5), axis=1)
+
+    def wrong(slant: float) -> float:
+        lateral = float(powers @ np.exp(2 * k * np.log(max(height, 1e-9) / slant))) / slant**5
+        fifth = reach * lateral + 120 * reach * (height + 2 * reach) / slant**6
+        return 2 * 2 * np.pi * scene.fc / scene.c * fifth * half**5 / 1920 - SHARE_PHASE * tol
+
+    low, high = max(height, 1e-3) * (1 + 1e-6), 1e3 * (height + reach + half)
+    if wrong(high) >= 0:
+        return math.inf
+    return low if wrong(low) <= 0 else float(scipy.optimize.brentq(wrong, low, high, rtol=1e-3))
 
 
 def _tree_error(taps: tree.Taps, stages: int) -> float:

@@ -75,7 +75,7 @@ def split(parent: Group, along: FloatArray, fan: int) -> list[IntArray]:
 def bands(
     members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: FloatArray, grounds: FloatArray
 ) -> tuple[float, float]:
-    """Highest frequencies of a group's sub-image: cycles a radian and cycles a metre.
+    """Highest frequencies of a group's sub-image: cycles a radian and cycles a metre of slant range.
 
     A trace's echo of base-band frequency f at two-way time tau varies as exp(2j pi ((fc + f) tau - fc tau_0)), tau_0 that of
     the centre: its phase's gradient, with f = +-B/2, at the places given.
@@ -99,13 +99,23 @@ def bands(
     speed = np.linalg.norm(geometry[:, 6:9], axis=1)[:, None]
     slope /= (medium.c - speed)[..., None]
     height = members.centre[2] - plane
-    own = 2 / medium.c * ground / np.sqrt(ground**2 + height**2)
     radial, lateral = np.sum(slope * out, axis=-1), np.sum(slope * side, axis=-1) * ground
+    radial *= np.sqrt(ground**2 + height**2) / np.maximum(ground, 1e-9)  # along slant range
     half = medium.bandwidth / 2
     return (
         float(np.max(np.abs(lateral))) * (medium.fc + half),
-        float(np.max(half * np.abs(radial) + medium.fc * np.abs(radial - own))),
+        float(np.max(half * np.abs(radial) + medium.fc * np.abs(radial - 2 / medium.c))),
     )
+
+
+def slant(ground: FloatArray, height: float) -> FloatArray:
+    """Slant range of the ground at a horizontal distance from a place at `height`."""
+    return np.asarray(np.hypot(ground, height))
+
+
+def ground(slant: FloatArray, height: float) -> FloatArray:
+    """The inverse; 0 where the ground is farther."""
+    return np.asarray(np.sqrt(np.maximum(slant**2 - height**2, 0)))
 
 
 def _cover(beams: FloatArray, nodes: FloatArray, taps: Taps) -> tuple[int, IntArray, IntArray]:
@@ -140,7 +150,7 @@ class _Node:
     children: list[_Node]
 
     def outline(self, step: float) -> tuple[FloatArray, FloatArray]:
-        """Angles (ray,) and grounds (ray, 2) of the raw nodes' ends."""
+        """Angles (ray,) and slant ranges (ray, 2) of the raw nodes' ends."""
         used = np.flatnonzero(self.begin < self.end)
         ends = np.stack([self.begin[used], self.end[used] - 1], axis=1) * step
         return np.asarray(self.angle + (self.first + used) * self.beam), ends
@@ -176,49 +186,36 @@ class Reads:
         )
 
 
-def _probe(low: float, high: float, count: int) -> FloatArray:
-    return np.linspace(low, high, count)
-
-
 def _tree(
     members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
-    plane: float, angle: float, bearings: FloatArray, grounds: FloatArray, step: float, taps: Taps, spare: float,
+    plane: float, angle: float, bearings: FloatArray, slants: FloatArray, step: float, taps: Taps, spare: float,
 ) -> _Node:  # fmt: skip
-    """A node whose reads lie at bearings (n, 2) from `angle` and grounds (n, 2), and all below it."""
+    """A node whose reads lie at bearings (n, 2) from `angle` and slant ranges (n, 2), and all below it."""
+    height = members.centre[2] - plane
     low, high = float(bearings.min()), float(bearings.max())
+    near, far = ground(np.array([slants.min(), slants.max()]), height)
     lateral, _ = bands(
-        members, geometry, medium, plane, angle + _probe(low, high, 9), _probe(float(grounds.min()), float(grounds.max()), 3)
-    )
+        members, geometry, medium, plane, angle + np.linspace(low, high, 9), np.linspace(near, far, 3)
+    )  # fmt: skip
     beam = min(WIDEST, 1 / (2 * taps.rate * spare * max(lateral, 1e-9)))
-    first, begin, end = _cover(bearings / beam, grounds / step, taps)
+    first, begin, end = _cover(bearings / beam, slants / step, taps)
     node = _Node(members, along, angle, beam, first, begin, end, [])
     if fans:
         rays, ends = node.outline(step)
-        parts = split(members, along, fans[0])
-        for traces in parts:
+        away = ground(ends, height)
+        for traces in split(members, along, fans[0]):
             child, place = group(traces, centres)
             offset = members.centre[:2] - child.centre[:2]
             ahead = offset[0] * np.cos(rays) + offset[1] * np.sin(rays)
             aside = offset[1] * np.cos(rays) - offset[0] * np.sin(rays)
-            ground = np.hypot(ends + ahead[:, None], aside[:, None])
-            bearing = (rays - angle)[:, None] + np.arcsin(aside[:, None] / ground)
+            theirs = np.hypot(away + ahead[:, None], aside[:, None])
+            bearing = (rays - angle)[:, None] + np.arcsin(aside[:, None] / theirs)
             node.children.append(
                 _tree(
-                    child,
-                    place,
-                    fans[1:],
-                    geometry,
-                    centres,
-                    medium,
-                    plane,
-                    angle,
-                    np.sort(bearing, axis=1),
-                    np.sort(ground, axis=1),
-                    step,
-                    taps,
-                    spare,
-                )  # fmt: skip
-            )
+                    child, place, fans[1:], geometry, centres, medium, plane, angle, np.sort(bearing, axis=1),
+                    np.sort(slant(theirs, child.centre[2] - plane), axis=1), step, taps, spare,
+                )
+            )  # fmt: skip
     return node
 
 
@@ -256,9 +253,8 @@ def plant(
 ) -> Subtree:  # fmt: skip
     """The tree below one of the longest groups, for the tiles it serves."""
     angle, bearings, grounds = reads.seen_from(members.centre, np.flatnonzero(tiles))
-    root = _tree(
-        members, along, fans, geometry, centres, medium, plane, angle, bearings, grounds, step, taps, spare
-    )  # fmt: skip
+    slants = slant(grounds, members.centre[2] - plane)
+    root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, spare)
     levels = [[root]]
     while levels[-1][0].children:
         levels.append([child for node in levels[-1] for child in node.children])

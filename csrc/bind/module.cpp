@@ -194,7 +194,7 @@ struct TreeOf {
 void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, const std::vector<double>& sine,
                  const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model, int kind,
                  const Array<std::int64_t>& span, const Array<double>& place, const Array<std::int64_t>& shape,
-                 const Array<std::int32_t>& range, Array<float> store, int count, bool smooth, int threads,
+                 const Array<std::int32_t>& range, Array<float> store, double slack, bool smooth, int threads,
                  const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
@@ -215,7 +215,7 @@ void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, cons
     terms.nodes = tree.tree.nodes;
     const std::int64_t* spans = span.data();
     const py::gil_scoped_release gil;
-    leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), count, smooth,
+    leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), slack, smooth,
            threads, check);
 }
 
@@ -290,7 +290,7 @@ PYBIND11_MODULE(_core, m) {
                       const Array<double>&>(),
              "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
     m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a,
-          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "count"_a, "smooth"_a, "threads"_a, "isa"_a,
+          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "slack"_a, "smooth"_a, "threads"_a, "isa"_a,
           "tick"_a, "Fill the sub-images of groups of traces.");
     m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
           "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,

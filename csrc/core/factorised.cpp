@@ -104,7 +104,7 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
 }
 
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
-            const SubImage* images, std::int64_t n_image, int at_once, bool smooth, int threads, const Tick& tick) {
+            const SubImage* images, std::int64_t n_image, double slack, bool smooth, int threads, const Tick& tick) {
     std::vector<Piece> pieces;
     for (std::int64_t i = 0; i < n_image; ++i) {
         std::int64_t begin = images[i].stride, end = 0;
@@ -114,7 +114,7 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
             begin = std::min<std::int64_t>(begin, range[0]);
             end = std::max<std::int64_t>(end, range[1]);
         }
-        for (std::int64_t m = begin; m < end; m += at_once) pieces.push_back({i, m, std::min(m + at_once, end)});
+        for (std::int64_t m = begin; m < end; m += block) pieces.push_back({i, m, std::min(m + block, end)});
     }
     // a task takes all rays of a stretch: they read the same samples
     run(
@@ -127,12 +127,11 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
             part.table += span[piece.image] * terms.trace_stride;
             part.n_trace = span[piece.image + 1] - span[piece.image];
             alignas(64) float re[tile_rows * block], im[tile_rows * block];
-            double lines[tile_rows * 6];
-            std::uint8_t active[tile_rows];
-            TileJob<float> job{&part, lines, nullptr, active, 0, 0, re, im, 0};
+            std::int64_t rays[tile_rows];
+            LeafJob job{&tree, &image, &part, rays, 0, 0, 0, static_cast<float>(slack), re, im};
             for (std::int64_t ray = 0; ray < image.rays;) {
                 // rays that have nodes here, and what of the stretch they need
-                std::int64_t rays[tile_rows], begin = piece.end, end = piece.begin;
+                std::int64_t begin = piece.end, end = piece.begin;
                 for (job.rows = 0; job.rows < tile_rows && ray < image.rays; ++ray) {
                     const std::int64_t from = std::max<std::int64_t>(image.range[2 * ray], piece.begin);
                     const std::int64_t to = std::min<std::int64_t>(image.range[2 * ray + 1], piece.end);
@@ -142,20 +141,9 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
                     rays[job.rows++] = ray;
                 }
                 if (job.rows == 0) break;
+                job.begin = begin;
                 job.count = static_cast<int>(end - begin);
-                for (int r = 0; r < job.rows; ++r) {
-                    const double angle = image.angle0 + static_cast<double>(rays[r]) * image.dangle;
-                    const double along[2] = {std::cos(angle) * image.step, std::sin(angle) * image.step};
-                    active[r] = 1;
-                    for (int axis = 0; axis < 2; ++axis) {
-                        lines[6 * r + axis] = image.centre[axis] + static_cast<double>(image.i0 + begin) * along[axis];
-                        lines[6 * r + 3 + axis] = along[axis];
-                    }
-                    lines[6 * r + 2] = image.plane;
-                    lines[6 * r + 5] = 0;
-                }
-                kernels.sum_single(job);
-                kernels.turn_back(tree, image, begin, job.rows, re, im);
+                kernels.leaf(job);
                 for (int r = 0; r < job.rows; ++r) {
                     std::copy_n(re + r * block, job.count, image.re + rays[r] * image.stride + begin);
                     std::copy_n(im + r * block, job.count, image.im + rays[r] * image.stride + begin);

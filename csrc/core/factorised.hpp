@@ -22,9 +22,9 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
                                  const std::int32_t* range, std::int64_t n_range, float* store, std::int64_t room);
 
 // Fill sub-images of groups of traces: image i from traces span[i] to span[i + 1] of `terms`. With `smooth` pixels are
-// to be read from them. `at_once`: nodes to a delay polynomial.
+// to be read from them. `slack`: what phase factors may be wrong by.
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
-            const SubImage* images, std::int64_t n_image, int at_once, bool smooth, int threads, const Tick& tick);
+            const SubImage* images, std::int64_t n_image, double slack, bool smooth, int threads, const Tick& tick);
 
 // Sub-images from their children: image i from children span[i] to span[i + 1], added to what it holds with `add`.
 // `last`: no more children come, filter it across its rays; with `smooth` (pixels are to be read) along them too.

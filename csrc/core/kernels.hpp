@@ -16,6 +16,7 @@ constexpr int plane_slack = 64;  // reals behind a plane's intervals that a wind
 constexpr int max_degree = 9;
 constexpr int max_trig = 12;
 constexpr int max_nodes = 7;
+constexpr int max_step = 24;  // of a filter, in samples
 
 enum class Kind : int { monostatic, stop_and_hop, moving };
 
@@ -72,8 +73,8 @@ struct TileJob {
 // `taps` samples from step m + first[phase] on, weighted by weight[(phase taps + tap) (degree + 1) + q].
 template <typename Real>
 struct FilterJob {
-    const Real* re[2];  // samples; with step 2 the even and the odd ones apart. Sample 0 is at `origin`
-    const Real* im[2];
+    const Real* re[max_step];  // every step-th sample, from the first, the second, ... on. Sample 0 is at `origin`
+    const Real* im[max_step];
     std::int64_t origin;
     const Real* weight;
     const std::int64_t* first;
@@ -83,10 +84,11 @@ struct FilterJob {
     std::int64_t plane_stride;
 };
 
-// A sub-image: what a group of pings makes of the plane z = `plane`, its carrier about `centre` taken away, at the
-// nodes (i0 + m) step along rays angle0 + r dangle from the centre's foot. Filtered across its rays, and along them
-// where pixels are read from it: a parent's ray crosses its children's, so that merging filters after it has changed
-// rays. A ray's nodes range[2 r] to range[2 r + 1] are summed, the rest of its row is not. Real parts at re + r stride
+// A sub-image: what a group of pings makes of the plane z = `plane`, its carrier about `centre` taken away, at slant
+// ranges (i0 + m) step from `centre` along rays angle0 + r dangle from its foot. Filtered across its rays, and along
+// them where pixels are read from it: a parent's ray crosses its children's, so that merging filters after it has
+// changed rays. A ray's nodes range[2 r] to range[2 r + 1] are summed, the rest of its row is not. Real parts at re + r
+// stride
 // + m.
 struct SubImage {
     double centre[3], plane, angle0, dangle, step;
@@ -118,6 +120,20 @@ struct Tree {
     Nodes nodes;
 };
 
+// Sums of a leaf's traces at `count` nodes from `begin` on of some of its rays, their carrier taken away. The tables'
+// intervals are as long as nodes are apart; phase factors may be wrong by `slack`.
+struct LeafJob {
+    const Tree* tree;
+    const SubImage* image;
+    const Terms<float>* terms;
+    const std::int64_t* rays;
+    int rows;
+    std::int64_t begin;
+    int count;
+    float slack;
+    float *re, *im;  // (tile_rows, block), set to the sums
+};
+
 // One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 6
 // rows of `room`.
 struct MergeJob {
@@ -144,8 +160,7 @@ struct Kernels {
     void (*sum_double)(TileJob<double>&);
     void (*filter_single)(const FilterJob<float>&);
     void (*filter_double)(const FilterJob<double>&);
-    // sums of a tile's rays (rows, block) from node `first` on, turned back by the carrier about the sub-image's centre
-    void (*turn_back)(const Tree&, const SubImage&, std::int64_t first, int rows, float* re, float* im);
+    void (*leaf)(LeafJob&);
     // out[m] for m < count from in[m - half] ... in[m + half]
     void (*smooth)(const Taps&, const float* in, float* out, std::int64_t count);
     // columns [begin, end) of rows [first, last), in place, with `work` for (last - first) rows of a vector

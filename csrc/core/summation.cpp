@@ -45,8 +45,8 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
     const std::int64_t intervals = intervals_of(batch.length, filter.rate());
     const int planes = 2 * (filter.degree + 1);
     // taps reach before the first and behind the last sample kept; vectors run on to a multiple of their length
-    const std::int64_t before = (filter.taps + 1) / 2 * 2, behind = filter.taps + 2 * plane_slack;
-    const std::int64_t part = (before + batch.length + behind) / filter.step + 1;
+    const std::int64_t before = filter.taps;
+    const std::int64_t part = (before + batch.length + filter.taps) / filter.step + 2 + plane_slack;
     constexpr std::int64_t at_once = 4;
     run((batch.count + at_once - 1) / at_once, threads,
         [&](std::int64_t task) {
@@ -77,13 +77,16 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
                     (batch.weights ? batch.weights[i] : std::complex<double>(1.0)) / batch.scale;
                 // in double: one over a float's smallest amplitude is no float
                 const double a = factor.real(), b = factor.imag();
-                for (std::int64_t n = from; n < to; ++n) {
-                    const Sample s = trace[n * apart];
-                    const std::int64_t place = n - start + before;
-                    const std::int64_t half = filter.step == 2 ? place >> 1 : place;
-                    Real* re = samples.data() + (filter.step == 2 ? 2 * (place & 1) * part : 0);
-                    re[half] = static_cast<Real>(s.real() * a - s.imag() * b);
-                    re[part + half] = static_cast<Real>(s.real() * b + s.imag() * a);
+                for (int i = 0; i < filter.step; ++i) {
+                    // the first sample of each part
+                    const std::int64_t ahead = (i - (from - start + before)) % filter.step;
+                    const std::int64_t begin = from + (ahead < 0 ? ahead + filter.step : ahead);
+                    Real* re = samples.data() + 2 * i * part + (begin - start + before) / filter.step;
+                    for (std::int64_t n = begin; n < to; n += filter.step, ++re) {
+                        const Sample s = trace[n * apart];
+                        re[0] = static_cast<Real>(s.real() * a - s.imag() * b);
+                        re[part] = static_cast<Real>(s.real() * b + s.imag() * a);
+                    }
                 }
                 job.out = table + i * planes * stride;
                 for (int plane = 0; plane < planes; ++plane) {

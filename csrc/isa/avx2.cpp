@@ -22,6 +22,8 @@ struct Float {
     static vec mul(vec a, vec b) { return _mm256_mul_ps(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_ps(a, b, c); }
+    static vec abs(vec a) { return _mm256_andnot_ps(set(-0.0F), a); }
+    static vec one_where_le(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ), set(1.0F)); }
     static vec one_where_eq(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_EQ_OQ), set(1.0F)); }
     static idx bits(vec a) { return _mm256_castps_si256(a); }
     static idx number(vec a) { return _mm256_sub_epi32(bits(a), _mm256_set1_epi32(0x4B400000)); }
@@ -57,6 +59,7 @@ struct Double {
     static vec mul(vec a, vec b) { return _mm256_mul_pd(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_pd(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_pd(a, b, c); }
+    static vec div(vec a, vec b) { return _mm256_div_pd(a, b); }
     static vec sqrt(vec a) { return _mm256_sqrt_pd(a); }
     static vec abs(vec a) { return _mm256_andnot_pd(set(-0.0), a); }
     static vec min(vec a, vec b) { return _mm256_min_pd(a, b); }
@@ -98,11 +101,11 @@ struct Double {
 #include "kernels/backprojection.inl"
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
+#include "kernels/leaf.inl"
 
 }  // namespace
 
-const Kernels kernels{"avx2",          &sum_tile<Float>,  &sum_tile<Double>, &filter<Float>,
-                      &filter<Double>, &turn_back<Float>, &smooth<Float>,    &smooth_across<Float>,
-                      &merge<Float>,   &read_lines<Float>};
+const Kernels kernels{"avx2",       &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
+                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
 
 }  // namespace pysas::avx2

@@ -22,6 +22,10 @@ struct Float {
     static vec mul(vec a, vec b) { return _mm512_mul_ps(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm512_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_ps(a, b, c); }
+    static vec abs(vec a) { return _mm512_abs_ps(a); }
+    static vec one_where_le(vec a, vec b) {
+        return _mm512_maskz_mov_ps(_mm512_cmp_ps_mask(a, b, _CMP_LE_OQ), set(1.0F));
+    }
     static vec one_where_eq(vec a, vec b) {
         return _mm512_maskz_mov_ps(_mm512_cmp_ps_mask(a, b, _CMP_EQ_OQ), set(1.0F));
     }
@@ -60,6 +64,7 @@ struct Double {
     static vec mul(vec a, vec b) { return _mm512_mul_pd(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm512_fmadd_pd(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_pd(a, b, c); }
+    static vec div(vec a, vec b) { return _mm512_div_pd(a, b); }
     static vec sqrt(vec a) { return _mm512_sqrt_pd(a); }
     static vec abs(vec a) { return _mm512_abs_pd(a); }
     static vec min(vec a, vec b) { return _mm512_min_pd(a, b); }
@@ -89,10 +94,11 @@ struct Double {
 #include "kernels/backprojection.inl"
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
+#include "kernels/leaf.inl"
 
 }  // namespace
 
-const Kernels kernels{"avx512",          &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &turn_back<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
+const Kernels kernels{"avx512",     &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
+                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
 
 }  // namespace pysas::avx512

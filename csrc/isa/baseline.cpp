@@ -51,6 +51,9 @@ struct Plain {
     static vec fnma(vec a, vec b, vec c) {
         return each([&](int i) { return c.at[i] - a.at[i] * b.at[i]; });
     }
+    static vec div(vec a, vec b) {
+        return each([&](int i) { return a.at[i] / b.at[i]; });
+    }
     static vec sqrt(vec a) {
         return each([&](int i) { return ::sqrt(a.at[i]); });
     }
@@ -111,10 +114,11 @@ using Double = Plain<double, 4>;
 #include "kernels/backprojection.inl"
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
+#include "kernels/leaf.inl"
 
 }  // namespace
 
-const Kernels kernels{"baseline",        &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &turn_back<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
+const Kernels kernels{"baseline",   &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
+                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
 
 }  // namespace pysas::baseline

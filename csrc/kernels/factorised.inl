@@ -113,6 +113,12 @@ struct Stretch {
     }
 };
 
+// Ground distance at a slant range; 0 where the ground is farther.
+inline double ground_of(double range, double height) {
+    const double square = range * range - height * height;
+    return square > 0 ? ::sqrt(square) : 0.0;
+}
+
 inline std::int64_t nearest_below(double x) { return static_cast<std::int64_t>(::floor(x)); }
 
 // arcsin of |q| < 0.4, to 2e-10
@@ -185,28 +191,6 @@ void smooth_across(const Taps& taps, float* plane, std::int64_t stride, std::int
     for (; m < end; m += V::n) smooth_columns<V, 1>(taps, plane + m, stride, first, last, work);
 }
 
-template <class V>
-void turn_back(const Tree& tree, const SubImage& image, std::int64_t first, int rows, float* re, float* im) {
-    const Phase<V, 6> phase(tree.sine, tree.cosine);
-    const double height = image.centre[2] - image.plane;
-    alignas(64) float cycles[block];
-    for (int m = 0; m < block; ++m) {
-        const double g = static_cast<double>(image.i0 + first + m) * image.step;
-        const double turns = -tree.wave * ::sqrt(g * g + height * height);
-        cycles[m] = static_cast<float>(turns - ::floor(turns + 0.5));
-    }
-    for (int m = 0; m < block; m += V::n) {
-        typename V::vec sine, cosine;
-        phase(V::load(cycles + m), sine, cosine);
-        for (int r = 0; r < rows; ++r) {
-            float *a = re + r * block + m, *b = im + r * block + m;
-            const auto x = V::load(a), y = V::load(b);
-            V::store(a, V::fnma(y, sine, V::mul(x, cosine)));
-            V::store(b, V::fma(y, cosine, V::mul(x, sine)));
-        }
-    }
-}
-
 template <class V, int W>
 void merge_taps(const MergeJob& job) {
     using D = Double;
@@ -220,7 +204,7 @@ void merge_taps(const MergeJob& job) {
     if (end <= begin) return;
     const std::int64_t count = end - begin;
     const double angle = parent.angle0 + static_cast<double>(job.ray) * parent.dangle, step = parent.step;
-    const double ex = ::cos(angle), ey = ::sin(angle), parent_height = parent.centre[2] - parent.plane;
+    const double ex = ::cos(angle), ey = ::sin(angle), height = parent.centre[2] - parent.plane;
     const double start = static_cast<double>(parent.i0 + begin) * step;
     float *const line_re = job.work, *const line_im = line_re + job.room, *const sum_re = line_im + job.room,
                  *const sum_im = sum_re + job.room, *const even_re = sum_im + job.room,
@@ -234,16 +218,22 @@ void merge_taps(const MergeJob& job) {
             sum_im[m] = parent.im[row + m];
         }
     }
-    Curves place, drift, turns;
+    const auto wave = V::set(static_cast<float>(tree.wave * step));
+    Curves place, drift;
     for (std::int64_t c = 0; c < job.n_child; ++c) {
         const SubImage& child = job.children[c];
         const double vx = parent.centre[0] - child.centre[0], vy = parent.centre[1] - child.centre[1];
         const double along = vx * ex + vy * ey, aside = vy * ex - vx * ey;
         const double child_height = child.centre[2] - child.plane;
-        const double y0 = start + along, y1 = y0 + static_cast<double>(count - 1) * step;
-        std::int64_t low = nearest_below(::sqrt(y0 * y0 + aside * aside) / step) - W / 2 - half;
+        const double away2 = aside * aside + child_height * child_height;
+        const auto seen = [&](double range) {
+            const double y = ground_of(range, height) + along;
+            return ::sqrt(y * y + aside * aside + child_height * child_height);
+        };
+        std::int64_t low = nearest_below(seen(start) / step) - W / 2 - half;
         low = low < child.i0 ? child.i0 : low;
-        const std::int64_t high = nearest_below(::sqrt(y1 * y1 + aside * aside) / step) + W / 2 + 2 + half;
+        const std::int64_t high =
+            nearest_below(seen(start + static_cast<double>(count - 1) * step) / step) + W / 2 + 2 + half;
         // along the child's rows: what it holds where the parent's ray crosses them
         std::int64_t stretches = (high - low + block - 1) / block;
         const std::int64_t there = (child.stride - (low - child.i0)) / block, fit = job.room / block;
@@ -259,9 +249,13 @@ void merge_taps(const MergeJob& job) {
                     for (int l = 0; l < D::n; ++l) {
                         const double node =
                             static_cast<double>(low + (s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2;
-                        at[l] = aside / (node * step);
+                        at[l] = node * step;
                     }
-                    value[j] = arcsine(D::load(at));
+                    const auto range = D::load(at);
+                    const auto ground2 = D::sub(D::mul(range, range), D::set(child_height * child_height));
+                    // guard nodes nearer than the foot see what they like, within the arcsine's reach
+                    const auto ground = D::sqrt(D::max(ground2, D::set(9 * aside * aside)));
+                    value[j] = arcsine(D::div(D::set(aside), ground));
                 }
                 curve(tree.nodes, value, 1 / child.dangle, place, i);
             }
@@ -305,7 +299,7 @@ void merge_taps(const MergeJob& job) {
             const std::int64_t left = (count - s * block + block - 1) / block;
             const int some = static_cast<int>(left < tile_rows ? left : tile_rows);
             for (int i = 0; i < some; i += D::n) {
-                D::vec where[5], carrier[5];
+                D::vec where[5];
                 alignas(64) double at[D::n];
                 for (int j = 0; j < 5; ++j) {
                     for (int l = 0; l < D::n; ++l) {
@@ -313,21 +307,20 @@ void merge_taps(const MergeJob& job) {
                                 (static_cast<double>((s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2) *
                                     step;
                     }
-                    const auto ray = D::load(at), y = D::add(ray, D::set(along));
-                    const auto ground2 = D::fma(y, y, D::set(aside * aside));
-                    where[j] = D::sub(D::sqrt(ground2), ray);
-                    carrier[j] = D::sub(D::sqrt(D::add(ground2, D::set(child_height * child_height))),
-                                        D::sqrt(D::fma(ray, ray, D::set(parent_height * parent_height))));
+                    const auto range = D::load(at), square = D::mul(range, range);
+                    const auto ground = D::sqrt(D::max(D::sub(square, D::set(height * height)), D::set(0.0)));
+                    const auto y = D::add(ground, D::set(along));
+                    where[j] = D::sub(D::sqrt(D::fma(y, y, D::set(away2))), range);
                 }
                 curve(tree.nodes, where, 1 / step, drift, i);
-                curve(tree.nodes, carrier, tree.wave, turns, i);
             }
             for (int i = 0; i < some; ++i) {
                 const std::int64_t to = (s + i) * block;
                 const double middle = drift.middle[i] - 0.5 + static_cast<double>(parent.i0 + begin - low);
                 const std::int64_t base = nearest_below(middle + 0.5);
                 const auto rest = V::set(static_cast<float>(middle - static_cast<double>(base)));
-                const auto turned = V::set(static_cast<float>(turns.middle[i] - ::floor(turns.middle[i] + 0.5)));
+                const double cycles = drift.middle[i] * step * tree.wave;
+                const auto turned = V::set(static_cast<float>(cycles - ::floor(cycles + 0.5)));
                 double interval;
                 const bool fixed = one_interval(drift, i, middle - static_cast<double>(base), interval);
                 std::int64_t first = base + static_cast<std::int64_t>(interval) - (W / 2 - 1) + to;
@@ -336,16 +329,16 @@ void merge_taps(const MergeJob& job) {
                 const auto rest_here = V::set(static_cast<float>(middle - static_cast<double>(base) - interval));
                 for (int m = 0; m < block; m += V::n) {
                     const auto x = stretch.x[m / V::n];
-                    const auto position = V::add(follow<V>(drift, i, x), rest);
+                    const auto moved = follow<V>(drift, i, x);
                     typename V::vec re, im, sine, cosine;
                     const std::int64_t column = to + m;
                     if (fixed)
-                        read_here<V, W>(taps, V::add(follow<V>(drift, i, x), rest_here), even_re + first + m,
-                                        even_im + first + m, 1, re, im);
+                        read_here<V, W>(taps, V::add(moved, rest_here), even_re + first + m, even_im + first + m, 1, re,
+                                        im);
                     else
-                        read_taps<V, W>(taps, position, base - (W / 2 - 1) + column, 0, job.room - W - V::n, even_re,
-                                        even_im, 1, re, im);
-                    const auto ph = V::add(follow<V>(turns, i, x), turned);
+                        read_taps<V, W>(taps, V::add(moved, rest), base - (W / 2 - 1) + column, 0, job.room - W - V::n,
+                                        even_re, even_im, 1, re, im);
+                    const auto ph = V::fma(moved, wave, turned);
                     phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
                     add_turned<V>(re, im, sine, cosine, sum_re + column, sum_im + column);
                 }
@@ -394,9 +387,10 @@ void read_taps_lines(ReadJob& job) {
     constexpr double pi = 3.14159265358979323846;
     double angle = ::atan2(ey, ex) - image.angle0;
     angle -= 2 * pi * ::floor((angle - (static_cast<double>(image.rays) * image.dangle - 2 * pi) / 2) / (2 * pi));
-    Curves across, out, turns;
+    const auto wave = V::set(static_cast<float>(tree.wave * image.step));
+    Curves across, out;
     for (int r = 0; r < rows; r += D::n) {
-        D::vec bearing[5], ground[5], range[5];
+        D::vec bearing[5], range[5];
         alignas(64) double x[D::n], y[D::n], z[D::n];
         for (int j = 0; j < 5; ++j) {
             for (int l = 0; l < D::n; ++l) {
@@ -411,12 +405,10 @@ void read_taps_lines(ReadJob& job) {
             const auto q = D::load(y), depth = D::load(x), drop = D::load(z);
             bearing[j] = arctangent(q);
             const auto side = D::mul(q, depth), ground2 = D::fma(side, side, D::mul(depth, depth));
-            ground[j] = D::sqrt(ground2);
             range[j] = D::sqrt(D::fma(drop, drop, ground2));
         }
         curve(tree.nodes, bearing, 1 / image.dangle, across, r);
-        curve(tree.nodes, ground, 1 / image.step, out, r);
-        curve(tree.nodes, range, tree.wave, turns, r);
+        curve(tree.nodes, range, 1 / image.step, out, r);
     }
     Eight::vec tap[W + 1];
     for (int q = 0; q <= W; ++q) tap[q] = Eight::load(taps.tap[q]);
@@ -427,20 +419,22 @@ void read_taps_lines(ReadJob& job) {
         const std::int64_t beam0 = nearest_below(beam + 0.5), node0 = nearest_below(node + 0.5);
         const auto beam_rest = V::set(static_cast<float>(beam - static_cast<double>(beam0)));
         const auto node_rest = V::set(static_cast<float>(node - static_cast<double>(node0)));
-        const auto turned = V::set(static_cast<float>(turns.middle[r] - ::floor(turns.middle[r] + 0.5)));
+        const double cycles = out.middle[r] * image.step * tree.wave;
+        const auto turned = V::set(static_cast<float>(cycles - ::floor(cycles + 0.5)));
         alignas(64) float cosine[block], sine[block], beams[block], nodes[block], beam_x[block], node_x[block];
         alignas(64) float re[block], im[block], place[block];
         for (int m = 0; m < block; ++m)
             place[m] = static_cast<float>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
         for (int m = 0; m < count; m += V::n) {
             const auto x = V::load(place + m);
-            const auto b = V::add(follow<V>(across, r, x), beam_rest), n = V::add(follow<V>(out, r, x), node_rest);
+            const auto moved = follow<V>(out, r, x);
+            const auto b = V::add(follow<V>(across, r, x), beam_rest), n = V::add(moved, node_rest);
             const auto bk = V::sub(V::add(b, round), round), nk = V::sub(V::add(n, round), round);
             V::store(beams + m, bk);
             V::store(nodes + m, nk);
             V::store(beam_x + m, V::sub(b, bk));
             V::store(node_x + m, V::sub(n, nk));
-            const auto ph = V::add(follow<V>(turns, r, x), turned);
+            const auto ph = V::fma(moved, wave, turned);
             typename V::vec s, c;
             phase(V::sub(ph, V::sub(V::add(ph, round), round)), s, c);
             V::store(sine + m, s);

@@ -14,8 +14,7 @@ void filter_degree(const FilterJob<typename V::real>& job) {
             for (int i = 0; i < planes; ++i) sum[i] = V::set(0);
             for (int tap = 0; tap < job.taps; ++tap) {
                 const std::int64_t place = start + tap;
-                const int part = job.step == 2 ? static_cast<int>(place & 1) : 0;
-                const std::int64_t from = (job.step == 2 ? place >> 1 : place) + m;
+                const std::int64_t part = place % job.step, from = place / job.step + m;
                 const vec re = V::load(job.re[part] + from), im = V::load(job.im[part] + from);
                 for (int q = 0; q <= D; ++q) {
                     const vec w = V::set(weight[tap * (D + 1) + q]);

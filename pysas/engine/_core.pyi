@@ -98,7 +98,7 @@ def leaves(
     shape: npt.NDArray[np.int64],
     range: npt.NDArray[np.int32],
     store: npt.NDArray[np.float32],
-    count: int,
+    slack: float,
     smooth: bool,
     threads: int,
     isa: str,

@@ -280,6 +280,92 @@ def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
 
 
 @njit(nogil=True, cache=True)
+def sum_blocks(
+    px, py, pz, node_points, straight, active, geometry, model, kind, coefficients, x, fit, half, sin_terms, cos_terms, pairs,
+    out,
+):  # fmt: skip
+    """Add all traces of a batch to blocks of pixels (block * count,); returns how many terms.
+
+    node_points : (3, NODES * block), node j of block b at j * blocks + b, where the delay polynomials are exact (used when
+    `straight`). The rest as in `sum_tile`.
+    """
+    rows, count = out.shape
+    centre, radius = _sphere(px, py, pz)
+
+    traces = np.empty(geometry.shape[0], dtype=np.int64)
+    place = np.empty(geometry.shape[0], dtype=np.int64)
+    near = np.empty(geometry.shape[0], dtype=np.bool_)
+    found = 0
+    for trace in range(geometry.shape[0]):
+        where, nearest = _reach(geometry[trace], model, centre, radius)
+        if where != OUTSIDE:
+            traces[found], place[found], near[found] = trace, where, nearest < model[NEAR]
+            found += 1
+
+    sums = np.zeros(rows * 8 * count, dtype=x.dtype)
+    interval = np.zeros(SLOTS * BLOCK, dtype=np.int32)
+    t2 = np.zeros(SLOTS * BLOCK, dtype=x.dtype)
+    cosines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
+    sines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
+    poly = np.empty((SLOTS, NODES + 1, rows), dtype=x.dtype)
+    start = np.empty((SLOTS, rows), dtype=np.int32)
+    part = np.empty((2, BLOCK), dtype=x.dtype)
+    tau = np.empty(max(BLOCK, NODES * rows))
+    row_centre = np.empty(3)
+    ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
+    terms = 0
+    for group in range(0, found, SLOTS):
+        filled = min(SLOTS, found - group)
+        for slot in range(filled):
+            i = group + slot
+            if straight and not near[i]:
+                _polynomials(kind, geometry[traces[i]], model, fit, node_points, tau, poly[slot], start[slot])
+        for r in range(rows):
+            if not active[r]:
+                continue
+            used = False
+            for slot in range(SLOTS):
+                at = slot * BLOCK
+                where, exact, i = OUTSIDE, False, group + slot
+                if slot < filled:
+                    where, exact = place[i], not straight or near[i]
+                    if where == ACROSS and not exact:
+                        reach = 0.0
+                        first, last = r * count, r * count + count - 1
+                        row_centre[0], row_centre[1] = (px[first] + px[last]) / 2, (py[first] + py[last]) / 2
+                        row_centre[2] = (pz[first] + pz[last]) / 2
+                        reach = ((px[last] - px[first]) ** 2 + (py[last] - py[first]) ** 2 + (pz[last] - pz[first]) ** 2) / 4
+                        where, _ = _reach(geometry[traces[i]], model, row_centre, np.sqrt(reach))
+                        exact = where == ACROSS
+                if where == OUTSIDE:
+                    interval[at : at + BLOCK] = 0
+                    cosines[2 * at : 2 * (at + BLOCK)] = 0
+                    sines[2 * at : 2 * (at + BLOCK)] = 0
+                    continue
+                used = True
+                if exact:
+                    lo, hi = r * count, (r + 1) * count
+                    terms += _exact_block(
+                        kind, geometry[traces[i]], model, px[lo:hi], py[lo:hi], pz[lo:hi], tau, part, sin_terms, cos_terms,
+                        at, interval, t2, cosines, sines,
+                    )  # fmt: skip
+                else:
+                    terms += count
+                    _block(
+                        x, poly[slot, 0, r], poly[slot, 1, r], poly[slot, 2, r], poly[slot, 3, r], poly[slot, 4, r],
+                        start[slot, r], poly[slot, 5, r], ratio, half, sin_terms, cos_terms, at, interval, t2, cosines, sines,
+                    )  # fmt: skip
+            if used:
+                for m in range(count):
+                    _add_terms(pairs, coefficients, interval, t2, cosines, sines, m, sums, r * 8 * count)
+    for r in range(rows):
+        for m in range(count):
+            a = sums[8 * (r * count + m) : 8 * (r * count + m) + 8]
+            out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
+    return terms
+
+
+@njit(nogil=True, cache=True)
 def sum_tile(
     coords, blocks, straight, active, geometry, model, kind, coefficients, x, nodes, fit, half, sin_terms, cos_terms, pairs, out
 ):
@@ -329,76 +415,7 @@ def sum_tile(
             for axis in range(3):
                 middle = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
                 node_points[axis, j * rows + r] = middle + nodes[j] * blocks[r, 3 + axis] * (count - 1) / 2
-    centre, radius = _sphere(px, py, pz)
-
-    traces = np.empty(geometry.shape[0], dtype=np.int64)
-    place = np.empty(geometry.shape[0], dtype=np.int64)
-    near = np.empty(geometry.shape[0], dtype=np.bool_)
-    found = 0
-    for trace in range(geometry.shape[0]):
-        where, nearest = _reach(geometry[trace], model, centre, radius)
-        if where != OUTSIDE:
-            traces[found], place[found], near[found] = trace, where, nearest < model[NEAR]
-            found += 1
-
-    sums = np.zeros(rows * 8 * count, dtype=x.dtype)
-    interval = np.zeros(SLOTS * BLOCK, dtype=np.int32)
-    t2 = np.zeros(SLOTS * BLOCK, dtype=x.dtype)
-    cosines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
-    sines = np.zeros(SLOTS * 2 * BLOCK, dtype=x.dtype)
-    poly = np.empty((SLOTS, NODES + 1, rows), dtype=x.dtype)
-    start = np.empty((SLOTS, rows), dtype=np.int32)
-    part = np.empty((2, BLOCK), dtype=x.dtype)
-    tau = np.empty(max(BLOCK, NODES * rows))
-    row_centre = np.empty(3)
-    ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
-    terms = 0
-    for group in range(0, found, SLOTS):
-        filled = min(SLOTS, found - group)
-        for slot in range(filled):
-            i = group + slot
-            if straight and not near[i]:
-                _polynomials(kind, geometry[traces[i]], model, fit, node_points, tau, poly[slot], start[slot])
-        for r in range(rows):
-            if not active[r]:
-                continue
-            used = False
-            for slot in range(SLOTS):
-                at = slot * BLOCK
-                where, exact, i = OUTSIDE, False, group + slot
-                if slot < filled:
-                    where, exact = place[i], not straight or near[i]
-                    if where == ACROSS and not exact:
-                        reach = 0.0
-                        for axis in range(3):
-                            half_length = blocks[r, 3 + axis] * (count - 1) / 2
-                            row_centre[axis] = blocks[r, axis] + half_length
-                            reach += half_length * half_length
-                        where, _ = _reach(geometry[traces[i]], model, row_centre, np.sqrt(reach))
-                        exact = where == ACROSS
-                if where == OUTSIDE:
-                    interval[at : at + BLOCK] = 0
-                    cosines[2 * at : 2 * (at + BLOCK)] = 0
-                    sines[2 * at : 2 * (at + BLOCK)] = 0
-                    continue
-                used = True
-                if exact:
-                    lo, hi = r * count, (r + 1) * count
-                    terms += _exact_block(
-                        kind, geometry[traces[i]], model, px[lo:hi], py[lo:hi], pz[lo:hi], tau, part, sin_terms, cos_terms,
-                        at, interval, t2, cosines, sines,
-                    )  # fmt: skip
-                else:
-                    terms += count
-                    _block(
-                        x, poly[slot, 0, r], poly[slot, 1, r], poly[slot, 2, r], poly[slot, 3, r], poly[slot, 4, r],
-                        start[slot, r], poly[slot, 5, r], ratio, half, sin_terms, cos_terms, at, interval, t2, cosines, sines,
-                    )  # fmt: skip
-            if used:
-                for m in range(count):
-                    _add_terms(pairs, coefficients, interval, t2, cosines, sines, m, sums, r * 8 * count)
-    for r in range(rows):
-        for m in range(count):
-            a = sums[8 * (r * count + m) : 8 * (r * count + m) + 8]
-            out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
-    return terms
+    return sum_blocks(
+        px, py, pz, node_points, straight, active, geometry, model, kind, coefficients, x, fit, half, sin_terms, cos_terms,
+        pairs, out,
+    )  # fmt: skip

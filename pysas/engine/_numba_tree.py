@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pysas.engine._numba import _FAST, _polynomial, sum_tile
+from pysas.engine._numba import _FAST, NODES, _polynomial, sum_blocks
 
 ROWS = 32  # rays of a leaf at a time
 WIDE = 8  # reals of a row that a read takes, whatever its taps
@@ -131,6 +131,12 @@ def smooth_across(shape, ranges, filter, begin, end, store):
 
 
 @njit(nogil=True, cache=True)
+def _ground(slant, height):
+    """Ground distance at a slant range; 0 where the ground is farther."""
+    return np.sqrt(max(slant * slant - height * height, 0.0))
+
+
+@njit(nogil=True, cache=True)
 def leaf(
     place, shape, ranges, begin, end, geometry, model, kind, coefficients, nodes, fit, half, sin_terms, cos_terms, pairs, wave,
     sines, cosines, store,
@@ -153,26 +159,30 @@ def leaf(
         if rows == 0:
             break
         count = high - low
-        blocks = np.zeros((rows, 6))
+        px, py, node_points = np.empty(rows * count), np.empty(rows * count), np.empty((3, NODES * rows))
+        node_points[2] = place[PLANE]
         for r in range(rows):
             angle = place[ANGLE] + chosen[r] * place[BEAM]
-            blocks[r, 3] = np.cos(angle) * place[STEP]
-            blocks[r, 4] = np.sin(angle) * place[STEP]
-            for axis in range(2):
-                blocks[r, axis] = place[axis] + (shape[I0] + low) * blocks[r, 3 + axis]
-            blocks[r, 2] = place[PLANE]
+            ex, ey = np.cos(angle), np.sin(angle)
+            for m in range(count):
+                ground = _ground((shape[I0] + low + m) * place[STEP], height)
+                px[r * count + m] = place[0] + ground * ex
+                py[r * count + m] = place[1] + ground * ey
+            for j in range(NODES):
+                ground = _ground((shape[I0] + low + (nodes[j] + 1) * (count - 1) / 2) * place[STEP], height)
+                node_points[0, j * rows + r] = place[0] + ground * ex
+                node_points[1, j * rows + r] = place[1] + ground * ey
         x = np.zeros(count, dtype=store.dtype)
         cycles = np.empty(count, dtype=store.dtype)
         for m in range(count):
             if count > 1:
                 x[m] = 2.0 * m / (count - 1) - 1
-            ground = (shape[I0] + low + m) * place[STEP]
-            turns = -wave * np.sqrt(ground * ground + height * height)
+            turns = -wave * (shape[I0] + low + m) * place[STEP]
             cycles[m] = turns - np.floor(turns + 0.5)
         out = np.zeros((rows, count), dtype=np.complex64)
-        sum_tile(
-            np.empty((0, 3)), blocks, True, np.ones(rows, dtype=np.bool_), geometry, model, kind, coefficients, x, nodes, fit,
-            half, sin_terms, cos_terms, pairs, out,
+        sum_blocks(
+            px, py, np.full(rows * count, place[PLANE]), node_points, True, np.ones(rows, dtype=np.bool_), geometry, model,
+            kind, coefficients, x, fit, half, sin_terms, cos_terms, pairs, out,
         )  # fmt: skip
         for r in range(rows):
             at = offset + chosen[r] * stride + low
@@ -184,12 +194,13 @@ def leaf(
 
 
 @njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
-def _cross(angle, aside, place, low, interval, x):
+def _cross(angle, aside, height, place, low, interval, x):
     """Rays of a child, as interval and place in it, that lie where a parent's ray crosses its nodes low, low + 1, ..."""
     start, scale = angle / place[BEAM], 1.0 / place[BEAM]
-    aside = aside / place[STEP]
     for m in range(x.size):
-        q = min(max(aside / (low + m), -0.5), 0.5)
+        slant = (low + m) * place[STEP]
+        # guard nodes nearer than the foot see what they like, within the arcsine's reach
+        q = aside / np.sqrt(max(slant * slant - height * height, 9 * aside * aside + 1e-30))
         s = q * q
         # arcsin of |q| < 0.4, to 2e-10
         tail = 945.0 / 42240 + s * (
@@ -204,17 +215,17 @@ def _cross(angle, aside, place, low, interval, x):
 @njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
 def _drift(first, along, aside, heights, step, low, wave, interval, x, cycles):
     """Nodes of a child's line where those of the parent's ray lie, as interval less node, and turns between their carriers."""
-    inverse = 1.0 / step
-    child, parent, side = heights[0] * heights[0], heights[1] * heights[1], aside * aside
+    inverse, turn = 1.0 / step, wave * step
+    away, parent = heights[0] * heights[0] + aside * aside, heights[1] * heights[1]
     for m in range(x.size):
-        ray = (first + m) * step
-        y = ray + along
-        ground = y * y + side
-        p = np.sqrt(ground) * inverse - low - m
+        slant = (first + m) * step
+        y = np.sqrt(max(slant * slant - parent, 0.0)) + along
+        there = np.sqrt(y * y + away) * inverse
+        p = there - low - m
         k = np.floor(p)
         interval[m] = np.int32(k)
         x[m] = p - k - 0.5
-        turns = wave * (np.sqrt(ground + child) - np.sqrt(ray * ray + parent))
+        turns = turn * (there - (first + m))
         cycles[m] = turns - np.floor(turns + 0.5)
 
 
@@ -271,16 +282,17 @@ def merge(
             vx, vy = place[0] - places[c, 0], place[1] - places[c, 1]
             along, aside = vx * ex + vy * ey, vy * ex - vx * ey
             heights[0] = places[c, 2] - places[c, PLANE]
-            y0 = first * step + along
-            y1 = y0 + (count - 1) * step
+            away = aside * aside + heights[0] * heights[0]
+            y0 = _ground(first * step, heights[1]) + along
+            y1 = _ground((first + count - 1) * step, heights[1]) + along
             i0, stride, rays = shapes[c, I0], shapes[c, STRIDE], shapes[c, RAYS]
-            low = max(i0, np.int64(np.floor(np.sqrt(y0 * y0 + aside * aside) / step)) - width // 2 - half)
-            high = np.int64(np.floor(np.sqrt(y1 * y1 + aside * aside) / step)) + width // 2 + 2 + half
+            low = max(i0, np.int64(np.floor(np.sqrt(y0 * y0 + away) / step)) - width // 2 - half)
+            high = np.int64(np.floor(np.sqrt(y1 * y1 + away) / step)) + width // 2 + 2 + half
             length = min(high - low, stride - (low - i0))
             if length <= 0:
                 continue
             # along the child's rows: what it holds where the parent's ray crosses them
-            _cross(angle - places[c, ANGLE], aside, places[c], low, interval[:length], x[:length])
+            _cross(angle - places[c, ANGLE], aside, heights[0], places[c], low, interval[:length], x[:length])
             _weigh(even, odd, x[:length], weight)
             line[:, :length] = 0
             m = 0
@@ -343,16 +355,16 @@ def _locate(place, i0, line, unit, angle, wave, beams, nodes, xb, xn, cycles):
         # arctan of |q| < 0.35, to 1e-9
         tail = 1.0 / 9 + s * (-1.0 / 11 + s * (1.0 / 13 + s * (-1.0 / 15 + s * (1.0 / 17))))
         bearing = q + q * s * (-1.0 / 3 + s * (1.0 / 5 + s * (-1.0 / 7 + s * tail)))
-        ground2 = side * side + depth * depth
+        slant = np.sqrt(side * side + depth * depth + drop * drop)
         p = (bearing + angle) / place[BEAM]
         k = np.floor(p)
         beams[m] = np.int32(k)
         xb[m] = p - k - 0.5
-        p = np.sqrt(ground2) / place[STEP] - i0
+        p = slant / place[STEP] - i0
         k = np.floor(p)
         nodes[m] = np.int32(k)
         xn[m] = p - k - 0.5
-        turns = wave * np.sqrt(ground2 + drop * drop)
+        turns = wave * slant
         cycles[m] = turns - np.floor(turns + 0.5)
 
 

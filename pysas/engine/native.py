@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import functools
 import importlib
+import math
 import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,6 +33,16 @@ DEGREES = {"float32": (1, 2, 3, 4, 5, 7), "float64": (3, 5, 7, 9)}
 TRIGONOMETRY = {"float32": (5, 6), "float64": (8, 10)}
 NODES = {"float32": 5, "float64": 7}
 RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
+
+
+MOST_STEP = 24  # samples that a filter may step by, see kernels.hpp
+
+
+@functools.lru_cache(maxsize=64)
+def simple_rate(least: float) -> Fraction:
+    """The lowest rate of at least `least` intervals per sample that a filter steps through, also after doubling."""
+    steps = range(1, MOST_STEP // 2 + 1)
+    return min(Fraction(max(1, math.ceil(least * step * (1 - 1e-12))), step) for step in steps)
 
 
 def extension() -> Any | None:

@@ -69,12 +69,15 @@ class Compiled:
         )
         self.rows[~kept] = 0
 
-    def leaves(self, survey: Survey, level: SubImages, store: Single, block: int, smooth: bool, tick: Tick) -> None:
-        """Sums of the prepared traces at leaves' nodes, filtered across, and along where `smooth`."""
+    def leaves(self, survey: Survey, level: SubImages, store: Single, slack: float, smooth: bool, tick: Tick) -> None:
+        """Sums of the prepared traces at leaves' nodes, filtered across, and along where `smooth`.
+
+        Phase factors may be wrong by `slack`.
+        """
         s = self.setting
         native.core().leaves(
             self.tree, self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry,
-            survey.model, survey.kind, level.span, level.place, level.shape, level.range, store, block, smooth, s.threads,
+            survey.model, survey.kind, level.span, level.place, level.shape, level.range, store, slack, smooth, s.threads,
             s.isa, tick,
         )  # fmt: skip
 
@@ -145,7 +148,7 @@ class Interpreted:
             traces, part, survey.start, survey.weights, scale, self.reader, self.rows, self.setting.threads, kept
         )  # fmt: skip
 
-    def leaves(self, survey: Survey, level: SubImages, store: Single, block: int, smooth: bool, tick: Tick) -> None:
+    def leaves(self, survey: Survey, level: SubImages, store: Single, slack: float, smooth: bool, tick: Tick) -> None:
         """As Compiled.leaves."""
         pieces = []
         for i in range(len(level)):
@@ -153,7 +156,7 @@ class Interpreted:
             rays = rays[rays[:, 0] < rays[:, 1]]
             if rays.size:
                 end = int(rays[:, 1].max())
-                pieces += [(i, m, min(m + block, end)) for m in range(int(rays[:, 0].min()), end, block)]
+                pieces += [(i, m, min(m + _numba.BLOCK, end)) for m in range(int(rays[:, 0].min()), end, _numba.BLOCK)]
         geometry, flat = self._numbered(survey)
 
         def add(task: int) -> None:
