@@ -35,7 +35,7 @@ def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: S
 # a tree, ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
 # two with what each tap adds
 TREE_NS = {
-    "avx512": (0.9, 5.0, (1.0, 0.7), (9.0, 1.2)),
+    "avx512": (0.75, 5.0, (2.0, 0.6), (7.0, 0.8)),
     "avx2": (1.3, 6.0, (1.5, 1.1), (9.0, 1.2)),
     "baseline": (3.5, 20.0, (10.0, 4.0), (10.0, 20.0)),
     "numba": (3.3, 8.0, (3.0, 1.5), (15.0, 5.0)),

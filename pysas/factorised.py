@@ -407,10 +407,14 @@ def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
     """Traces [begin, end) at a time, of leaves [first, last)."""
     if t.subtree is None:
         return [(b, min(b + batch, len(t.order)), 0, 0) for b in range(0, len(t.order), batch)]
-    span = t.subtree.levels[0].span
+    levels = t.subtree.levels
+    span = levels[0].span
     found, leaf = [], 0
     while leaf < len(span) - 1:
         last = max(leaf + 1, int(np.searchsorted(span, span[leaf] + batch, side="right")) - 1)
+        if len(levels) > 1:  # whole parents, if one fits: what is merged in parts is read and written again
+            whole = int(levels[1].span[np.searchsorted(levels[1].span, last, side="right") - 1])
+            last = whole if whole > leaf else last
         found.append((int(span[leaf]), int(span[last]), leaf, last))
         leaf = last
     return found

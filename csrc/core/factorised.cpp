@@ -97,6 +97,11 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
         if (n[1] < max_taps || n[2] < block || n[3] < 0 || n[3] + 2 * plane > room || n[4] < 0 ||
             2 * (n[4] + n[1]) > n_range)
             throw Error(Code::argument, "sub-images do not fit into their arrays");
+        for (std::int64_t r = 0; r < n[1]; ++r) {  // vectors run on behind a ray's last node
+            const std::int32_t* ends = range + 2 * (n[4] + r);
+            if (ends[0] < 0 || ends[1] + block > n[2])
+                throw Error(Code::argument, "sub-images' rays do not fit into their rows");
+        }
         float* re = store + n[3];
         out.push_back({{p[0], p[1], p[2]}, p[3], p[4], p[5], p[6], n[0], n[1], n[2], re, re + plane, range + 2 * n[4]});
     }
@@ -172,7 +177,7 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
         static_cast<std::int64_t>(pieces.size()), threads,
         [&](std::int64_t task) {
             const Piece& piece = pieces[static_cast<std::size_t>(task)];
-            auto work = scratch.take(static_cast<std::size_t>(6 * room));
+            auto work = scratch.take(static_cast<std::size_t>(4 * room));
             MergeJob job{&tree,
                          images + piece.image,
                          children + span[piece.image],

@@ -134,7 +134,7 @@ struct LeafJob {
     float *re, *im;  // (tile_rows, block), set to the sums
 };
 
-// One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 6
+// One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 4
 // rows of `room`.
 struct MergeJob {
     const Tree* tree;

@@ -85,6 +85,12 @@ struct Plain {
         for (int i = 0; i < N; ++i) sum += a.at[i];
         return sum;
     }
+    static void totals(const vec (&a)[2], const vec (&b)[2], Real* of_a, Real* of_b) {
+        for (int k = 0; k < 2; ++k) {
+            of_a[k] = total(a[k]);
+            of_b[k] = total(b[k]);
+        }
+    }
     // what `magic` added, taken away again: the integer it rounded to
     static idx number(vec a) {
         constexpr Real magic = sizeof(Real) == 4 ? Real(12582912.0) : Real(6755399441055744.0);

@@ -6,9 +6,11 @@ struct Eight {
     static void store(float* p, vec a) { _mm256_storeu_ps(p, a); }
     static vec mul(vec a, vec b) { return _mm256_mul_ps(a, b); }
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_ps(a, b, c); }
-    static float total(vec a) {
-        const __m128 half = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
-        const __m128 pair = _mm_add_ps(half, _mm_movehl_ps(half, half));
-        return _mm_cvtss_f32(_mm_add_ss(pair, _mm_shuffle_ps(pair, pair, 1)));
+    // sums of a[0] and a[1], and of b[0] and b[1]
+    static void totals(const vec (&a)[2], const vec (&b)[2], float* of_a, float* of_b) {
+        const vec four = _mm256_hadd_ps(_mm256_hadd_ps(a[0], a[1]), _mm256_hadd_ps(b[0], b[1]));
+        const __m128 sums = _mm_add_ps(_mm256_castps256_ps128(four), _mm256_extractf128_ps(four, 1));
+        _mm_storel_pi(reinterpret_cast<__m64*>(of_a), sums);
+        _mm_storeh_pi(reinterpret_cast<__m64*>(of_b), sums);
     }
 };

@@ -206,18 +206,13 @@ void merge_taps(const MergeJob& job) {
     const double angle = parent.angle0 + static_cast<double>(job.ray) * parent.dangle, step = parent.step;
     const double ex = ::cos(angle), ey = ::sin(angle), height = parent.centre[2] - parent.plane;
     const double start = static_cast<double>(parent.i0 + begin) * step;
-    float *const line_re = job.work, *const line_im = line_re + job.room, *const sum_re = line_im + job.room,
-                 *const sum_im = sum_re + job.room, *const even_re = sum_im + job.room,
+    float *const line_re = job.work, *const line_im = line_re + job.room, *const even_re = line_im + job.room,
                  *const even_im = even_re + job.room;
+    // sums grow where they stay; the last vectors run on into what nobody reads
+    const std::int64_t row = job.ray * parent.stride + begin;
+    float *const sum_re = parent.re + row, *const sum_im = parent.im + row;
     const int half = taps.half;
-    for (std::int64_t m = 0; m < count + block; ++m) sum_re[m] = sum_im[m] = 0;
-    if (job.add) {
-        const std::int64_t row = job.ray * parent.stride + begin;
-        for (std::int64_t m = 0; m < count; ++m) {
-            sum_re[m] = parent.re[row + m];
-            sum_im[m] = parent.im[row + m];
-        }
-    }
+    bool fresh = !job.add;
     const auto wave = V::set(static_cast<float>(tree.wave * step));
     Curves place, drift;
     for (std::int64_t c = 0; c < job.n_child; ++c) {
@@ -340,21 +335,24 @@ void merge_taps(const MergeJob& job) {
                                         even_re, even_im, 1, re, im);
                     const auto ph = V::fma(moved, wave, turned);
                     phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
-                    add_turned<V>(re, im, sine, cosine, sum_re + column, sum_im + column);
+                    if (fresh) {
+                        V::store(sum_re + column, V::fnma(im, sine, V::mul(re, cosine)));
+                        V::store(sum_im + column, V::fma(im, cosine, V::mul(re, sine)));
+                    } else {
+                        add_turned<V>(re, im, sine, cosine, sum_re + column, sum_im + column);
+                    }
                 }
             }
         }
+        fresh = false;
     }
-    const int cut = job.smooth ? half : 0;
-    if (job.smooth) {
-        smooth<V>(taps, sum_re + half, line_re, count - 2 * half);
-        smooth<V>(taps, sum_im + half, line_im, count - 2 * half);
-    }
-    const float *re = job.smooth ? line_re : sum_re, *im = job.smooth ? line_im : sum_im;
-    const std::int64_t row = job.ray * parent.stride + begin + cut;
-    for (std::int64_t m = 0; m < count - 2 * cut; ++m) {
-        parent.re[row + m] = re[m];
-        parent.im[row + m] = im[m];
+    for (std::int64_t m = 0; fresh && m < count; ++m) sum_re[m] = sum_im[m] = 0;
+    if (!job.smooth) return;
+    smooth<V>(taps, sum_re + half, line_re, count - 2 * half);
+    smooth<V>(taps, sum_im + half, line_im, count - 2 * half);
+    for (std::int64_t m = 0; m < count - 2 * half; ++m) {
+        sum_re[half + m] = line_re[m];
+        sum_im[half + m] = line_im[m];
     }
 }
 
@@ -412,6 +410,10 @@ void read_taps_lines(ReadJob& job) {
     }
     Eight::vec tap[W + 1];
     for (int q = 0; q <= W; ++q) tap[q] = Eight::load(taps.tap[q]);
+    alignas(64) float place[block], cosine[block], sine[block], beams[block], nodes[block], node_x[block];
+    alignas(64) float re[block], im[block], weight[W][block];
+    for (int m = 0; m < block; ++m)
+        place[m] = static_cast<float>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
     for (int r = 0; r < rows; ++r) {
         if (!job.active[r]) continue;
         const double beam = across.middle[r] + angle / image.dangle - 0.5;
@@ -421,10 +423,6 @@ void read_taps_lines(ReadJob& job) {
         const auto node_rest = V::set(static_cast<float>(node - static_cast<double>(node0)));
         const double cycles = out.middle[r] * image.step * tree.wave;
         const auto turned = V::set(static_cast<float>(cycles - ::floor(cycles + 0.5)));
-        alignas(64) float cosine[block], sine[block], beams[block], nodes[block], beam_x[block], node_x[block];
-        alignas(64) float re[block], im[block], place[block];
-        for (int m = 0; m < block; ++m)
-            place[m] = static_cast<float>(m < count ? (count > 1 ? 2.0 * m / (count - 1) - 1 : 0.0) : 1.0);
         for (int m = 0; m < count; m += V::n) {
             const auto x = V::load(place + m);
             const auto moved = follow<V>(out, r, x);
@@ -432,37 +430,38 @@ void read_taps_lines(ReadJob& job) {
             const auto bk = V::sub(V::add(b, round), round), nk = V::sub(V::add(n, round), round);
             V::store(beams + m, bk);
             V::store(nodes + m, nk);
-            V::store(beam_x + m, V::sub(b, bk));
             V::store(node_x + m, V::sub(n, nk));
+            typename V::vec s, c, w[W];
+            weigh<V, W>(taps, V::sub(b, bk), w);
+            for (int t = 0; t < W; ++t) V::store(weight[t] + m, w[t]);
             const auto ph = V::fma(moved, wave, turned);
-            typename V::vec s, c;
             phase(V::sub(ph, V::sub(V::add(ph, round), round)), s, c);
             V::store(sine + m, s);
             V::store(cosine + m, c);
         }
-        for (int m = 0; m < count; ++m) {
-            std::int64_t j = beam0 + static_cast<std::int64_t>(beams[m]) - (W / 2 - 1);
-            std::int64_t i = node0 + static_cast<std::int64_t>(nodes[m]) - (W / 2 - 1);
-            j = j < 0 ? 0 : j > image.rays - W ? image.rays - W : j;
-            i = i < 0 ? 0 : i > image.stride - 8 ? image.stride - 8 : i;
-            const auto xb = Eight::set(beam_x[m]), xn = Eight::set(node_x[m]);
-            auto wb = tap[W], wn = tap[W];
-            for (int q = W - 1; q >= 0; --q) {
-                wb = Eight::fma(wb, xb, tap[q]);
-                wn = Eight::fma(wn, xn, tap[q]);
+        for (int m = 0; m < count; m += 2) {
+            Eight::vec sum_re[2], sum_im[2];
+            for (int k = 0; k < 2; ++k) {
+                std::int64_t j = beam0 + static_cast<std::int64_t>(beams[m + k]) - (W / 2 - 1);
+                std::int64_t i = node0 + static_cast<std::int64_t>(nodes[m + k]) - (W / 2 - 1);
+                j = j < 0 ? 0 : j > image.rays - W ? image.rays - W : j;
+                i = i < 0 ? 0 : i > image.stride - 8 ? image.stride - 8 : i;
+                const auto x = Eight::set(node_x[m + k]);
+                auto along = tap[W];
+                for (int q = W - 1; q >= 0; --q) along = Eight::fma(along, x, tap[q]);
+                const float *a = image.re + j * image.stride + i, *b = image.im + j * image.stride + i;
+                auto w = Eight::set(weight[0][m + k]);
+                sum_re[k] = Eight::mul(w, Eight::load(a));
+                sum_im[k] = Eight::mul(w, Eight::load(b));
+                for (int t = 1; t < W; ++t) {
+                    w = Eight::set(weight[t][m + k]);
+                    sum_re[k] = Eight::fma(w, Eight::load(a + t * image.stride), sum_re[k]);
+                    sum_im[k] = Eight::fma(w, Eight::load(b + t * image.stride), sum_im[k]);
+                }
+                sum_re[k] = Eight::mul(sum_re[k], along);
+                sum_im[k] = Eight::mul(sum_im[k], along);
             }
-            alignas(32) float weight[8];
-            Eight::store(weight, wb);
-            const float *a = image.re + j * image.stride + i, *b = image.im + j * image.stride + i;
-            auto sum_re = Eight::mul(Eight::set(weight[0]), Eight::load(a)),
-                 sum_im = Eight::mul(Eight::set(weight[0]), Eight::load(b));
-            for (int t = 1; t < W; ++t) {
-                const auto w = Eight::set(weight[t]);
-                sum_re = Eight::fma(w, Eight::load(a + t * image.stride), sum_re);
-                sum_im = Eight::fma(w, Eight::load(b + t * image.stride), sum_im);
-            }
-            re[m] = Eight::total(Eight::mul(sum_re, wn));
-            im[m] = Eight::total(Eight::mul(sum_im, wn));
+            Eight::totals(sum_re, sum_im, re + m, im + m);
         }
         for (int m = 0; m < count; m += V::n) {
             add_turned<V>(V::load(re + m), V::load(im + m), V::load(sine + m), V::load(cosine + m),
