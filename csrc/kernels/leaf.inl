@@ -186,7 +186,7 @@ void add_breaking(const LeafJob& job, const float* table, const Phase<V, 6>& pha
     add_turned<V>(a, b, sine, cosine, job.re + r * block + s * V::n, job.im + r * block + s * V::n);
 }
 
-template <class V, int D, Kind K>
+template <class V, int D>
 void leaf_traces(LeafJob& job) {
     const Terms<float>& terms = *job.terms;
     const SubImage& image = *job.image;
@@ -219,7 +219,13 @@ void leaf_traces(LeafJob& job) {
     const int used = (job.count + V::n - 1) / V::n;
     for (std::int64_t i = 0; i < terms.n_trace; ++i) {
         const float* table = terms.table + i * terms.trace_stride;
-        drifts<V, K>(job, terms.traces[i], at, ratio, drift);
+        const Trace& trace = terms.traces[i];
+        if (terms.kind == Kind::monostatic)
+            drifts<V, Kind::monostatic>(job, trace, at, ratio, drift);
+        else if (terms.kind == Kind::stop_and_hop)
+            drifts<V, Kind::stop_and_hop>(job, trace, at, ratio, drift);
+        else
+            drifts<V, Kind::moving>(job, trace, at, ratio, drift);
         expand<V>(job, phase, static_cast<float>(ratio), terms.plane_stride, drift);
         for (int s = 0; s < used; ++s) {
             const float* key = drift.key[s];
@@ -245,32 +251,20 @@ void leaf_traces(LeafJob& job) {
     }
 }
 
-template <class V, int D>
-void leaf_kind(LeafJob& job) {
-    switch (job.terms->kind) {
-        case Kind::monostatic:
-            return leaf_traces<V, D, Kind::monostatic>(job);
-        case Kind::stop_and_hop:
-            return leaf_traces<V, D, Kind::stop_and_hop>(job);
-        case Kind::moving:
-            return leaf_traces<V, D, Kind::moving>(job);
-    }
-}
-
 template <class V>
 void leaf(LeafJob& job) {
     switch (job.terms->degree) {
         case 1:
-            return leaf_kind<V, 1>(job);
+            return leaf_traces<V, 1>(job);
         case 2:
-            return leaf_kind<V, 2>(job);
+            return leaf_traces<V, 2>(job);
         case 3:
-            return leaf_kind<V, 3>(job);
+            return leaf_traces<V, 3>(job);
         case 4:
-            return leaf_kind<V, 4>(job);
+            return leaf_traces<V, 4>(job);
         case 5:
-            return leaf_kind<V, 5>(job);
+            return leaf_traces<V, 5>(job);
         default:
-            return leaf_kind<V, 7>(job);
+            return leaf_traces<V, 7>(job);
     }
 }

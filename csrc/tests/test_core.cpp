@@ -149,7 +149,7 @@ void threads_and_kinds_of_pixels_agree() {
 // and a read give three times the carrier, exactly where linear interpolation of a constant is exact.
 void a_constant_goes_through_the_tree() {
     using namespace pysas;
-    constexpr double wave = 10, c = 1500, step = 0.05;
+    constexpr double wave = 10, c = 1500, step = 0.0375;  // an interval of 20 kHz
     const float filter[2] = {1, 0};
     float halves[12] = {}, slopes[9] = {}, tap[7 * max_taps] = {};
     halves[8] = 0.5F;  // taps 2 and 3, the middle ones: 1/2 -+ x
@@ -208,7 +208,7 @@ void a_constant_goes_through_the_tree() {
         const auto top = sub_images(place + 14, shape + 10, 1, range.data(), n_range, above.data(),
                                     static_cast<std::int64_t>(above.size()));
         const std::int64_t span[] = {0, 1, 3}, first[] = {0, 1};
-        leaves(kernels, tree, terms, span, leaf.data(), 2, block, false, 2, {});
+        leaves(kernels, tree, terms, span, leaf.data(), 2, 1e-5, false, 2, {});
         merge(kernels, tree, leaf.data(), first, top.data(), 1, false, false, false, 2, {});
         merge(kernels, tree, leaf.data() + 1, first, top.data(), 1, true, true, true, 2, {});
         std::vector<double> begin, along;
