@@ -260,9 +260,12 @@ def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator
 
 
 class Frame:
-    """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels."""
+    """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels.
 
-    def __init__(self, grid: Grid, scene: Scene, block: int) -> None:
+    With `rows` these are cut by rows as well.
+    """
+
+    def __init__(self, grid: Grid, scene: Scene, block: int, rows: bool = False) -> None:
         self.grid, self.origin = grid, scene.origin
         found = scene.lines if block else None
         self.straight = found is not None
@@ -271,13 +274,21 @@ class Frame:
             self.shape = (len(self.first), grid.shape[-1])
             self.count = block
         else:
-            self.shape = (1, grid.size)
-            self.count = min(BLOCK, grid.size)
+            width = grid.shape[-1] if rows else grid.size
+            self.shape = (grid.size // width, width)
+            self.count = min(BLOCK, width)
         self.mask = None if grid.mask is None else grid.mask.reshape(self.shape)
 
     def points(self, begin: int, end: int) -> FloatArray:
-        """Coordinates of pixels begin ... end - 1 of a grid without straight lines."""
+        """Coordinates (n, 3) of pixels begin ... end - 1, counted through all lines."""
         return np.ascontiguousarray(self.grid.coordinates(np.arange(begin, end)) - self.origin)
+
+    def some(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> FloatArray:
+        """Coordinates (row, column, 3) of the pixels where rows and columns meet."""
+        if self.straight:
+            return np.asarray(self.first[rows, None] + columns[None, :, None] * self.step[rows, None])
+        flat = (rows[:, None] * self.shape[1] + columns).ravel()
+        return (self.grid.coordinates(flat) - self.origin).reshape(len(rows), len(columns), 3)
 
     def tiles(self) -> list[Tile]:
         """All tiles, near neighbours first."""

@@ -6,11 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.optimize
 
 from pysas import subapertures
 from pysas._checks import FloatArray
 from pysas.costs import tree_ns
-from pysas.factorised import Layout
+from pysas.forest import Layout
 from pysas.scene import Scene
 
 if TYPE_CHECKING:
@@ -21,10 +22,14 @@ def grounds(scene: Scene, frame: Frame) -> FloatArray:
     """Ground distances between some of the track and some of the image, sorted, m."""
     places = scene.geometry[scene.heard, :2]
     some = places[:: max(1, len(places) // 64)]
-    ends = np.concatenate([frame.first, frame.first + frame.step * (frame.shape[1] - 1)])[:, :2]
-    middle = (ends[: len(frame.first)] + ends[len(frame.first) :]) / 2
-    pixels = np.concatenate([ends, middle])[:: max(1, len(ends) // 200)]
+    pixels = _sample(frame, 24).reshape(-1, 3)[:, :2]
     return np.sort(np.linalg.norm(some[:, None] - pixels, axis=-1).ravel())
+
+
+def _sample(frame: Frame, most: int) -> FloatArray:
+    """Some pixels (row, column, 3), the image's edges among them."""
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64)) for n in frame.shape)
+    return frame.some(rows, columns)
 
 
 def lengths(scene: Scene, away: FloatArray) -> list[float]:
@@ -44,15 +49,17 @@ def seconds(scene: Scene, frame: Frame, layout: Layout, runs: str) -> float:
     groups = max(1, math.ceil(path / layout.length))
     centre = places[len(places) // 2]
     height, width = frame.shape
-    rows, columns = np.linspace(0, height - 1, 24).astype(int), np.linspace(0, width - 1, 24)
-    points = frame.first[rows][:, None, :2] + columns[None, :, None] * frame.step[rows][:, None, :2] - centre
+    pixel = _sample(frame, 24)
+    points = pixel[..., :2] - centre
     ground = np.hypot(points[..., 0], points[..., 1])
     served = ground >= subapertures.NEAR * min(layout.length, path)
     pixels = scene.pixels
     if not served.any():
         return math.inf
-    row = float(np.mean(np.linalg.norm(np.diff(frame.first[:, :2], axis=0), axis=1))) if height > 1 else 0.01
-    area = row * height * scene.step * width * float(np.mean(np.where(served, 1 / np.maximum(ground, 1e-9), 0)))
+    # the image's area by its corners' spans; a single line is as wide as it is dense
+    down = float(np.mean(np.linalg.norm(pixel[-1] - pixel[0], axis=-1))) or 0.01
+    across = float(np.mean(np.linalg.norm(pixel[:, -1] - pixel[:, 0], axis=-1))) or 0.01
+    area = down * across * float(np.mean(np.where(served, 1 / np.maximum(ground, 1e-9), 0)))
     bearing = np.arctan2(points[..., 1], points[..., 0])[served]
     turn = np.angle(np.mean(np.exp(1j * bearing)))
     spread = float(np.ptp(np.angle(np.exp(1j * (bearing - turn)))))
@@ -77,3 +84,28 @@ def seconds(scene: Scene, frame: Frame, layout: Layout, runs: str) -> float:
         parts *= fan
     part = float(np.mean(served))
     return float(1e-9 * (groups * (work + pixels * part * read) + len(traces) * pixels * (1 - part) * leaf_term))
+
+
+def clear(scene: Scene, height: float, extent: float, rate: float, error: float) -> float:
+    """Slant range from which the delay polynomials of a leaf's rays hold to within `error`, for leaves of `extent` m at most
+    `height` up.
+
+    Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where x/r has
+    the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r. Polynomials
+    through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both ways.
+    """
+    heard = scene.geometry[scene.heard]
+    reach = extent / 2 + float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1))) / 2
+    half = 31.5 * scene.c / (4 * scene.band * scene.fs * rate)
+    k = np.arange(1, 400)
+    powers = np.cumprod(np.concatenate([[0.5], (k[:-1] - 0.5) / (k[:-1] + 1)])) * np.prod(2 * k[:, None] + np.arange(5), axis=1)
+
+    def wrong(slant: float) -> float:
+        lateral = float(powers @ np.exp(2 * k * np.log(max(height, 1e-9) / slant))) / slant**5
+        fifth = reach * lateral + 120 * reach * (height + 2 * reach) / slant**6
+        return 2 * 2 * np.pi * scene.fc / scene.c * fifth * half**5 / 1920 - error
+
+    low, high = max(height, 1e-3) * (1 + 1e-6), 1e3 * (height + reach + half)
+    if wrong(high) >= 0:
+        return math.inf
+    return low if wrong(low) <= 0 else float(scipy.optimize.brentq(wrong, low, high, rtol=1e-3))

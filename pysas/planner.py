@@ -17,15 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-import scipy.optimize
 from numpy.polynomial import Chebyshev, Polynomial
 
-from pysas import _checks, engine, factorised, layouts
+from pysas import _checks, engine, layouts
 from pysas._checks import FloatArray
 from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, tree
-from pysas.factorised import Forest, Layout
+from pysas.forest import Forest, Layout, grow
 from pysas.grid import Grid
 from pysas.plans import Plan
 from pysas.scene import Scene
@@ -67,6 +66,7 @@ LONGEST_FILTER = 400
 # of tol, where sums go through a tree: for the sums of its leaves; what the rest may cost is the tree's
 SHARE_LEAVES = 0.35
 SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
+SHARE_RELIEF = 0.2  # of tol, for pixels read off the planes of their sub-images, where any are
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
 # width, rate and half length of the filters that a tree may use, cheapest first
 TAPS = (
@@ -416,77 +416,65 @@ def _direct_seconds(scene: Scene, tol: float, backend: str) -> float:
 def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
     from pysas import backprojection
 
-    if scene.lines is None:
-        return None, "pixels on no even lines: all terms"
     if tol < TREE_TOL * (1 - 1e-9):
         return None, f"tol below {TREE_TOL:g}: all terms"
     if not scene.heard.any():
         return None, "the grid lies outside the recorded window: all terms"
     share = SHARE_LEAVES * tol
-    nodes = native.NODES["float32"] if backend == "cpp" else NODES
-    block, near, _ = _choose_delay(scene, share, nodes, True, SHARE_ROUNDING)
-    if not block:
-        return None, "pixels too coarse for float32 blocks: all terms"
-    planes = scene.lines[0][:, 2] - scene.origin[2]
-    heights = scene.geometry[scene.heard][:, [2, 5]]
-    height = float(max(heights.max() - planes.min(), planes.max() - heights.min()))
-    away = layouts.grounds(scene, backprojection.Frame(grid, scene, 64))
-    frame = backprojection.Frame(grid, scene, _even_split(scene.line_length, block))
+    flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])
+    relief = 0.05 * tol if flat else SHARE_RELIEF * tol
+    block, near = 0, 0.0
+    if scene.lines is not None:
+        nodes = native.NODES["float32"] if backend == "cpp" else NODES
+        block, near, _ = _choose_delay(scene, share, nodes, True, SHARE_ROUNDING)
+        if not block:
+            return None, "pixels too coarse for float32 blocks: all terms"
+        block = _even_split(scene.line_length, block)
+    sensors = scene.geometry[scene.heard][:, [2, 5]]
+    height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
+    frame = backprojection.Frame(grid, scene, block, rows=True)
+    away = layouts.grounds(scene, frame)
     runs = native.isa_name() if backend == "cpp" else backend
     best: tuple[float, Layout] | None = None
     for fans in FANS:
         stages = len(fans) + 1
         for width, rate, half in TAPS:
             taps = tree.taps(width, rate, half)
-            if _tree_error(taps, stages) <= tol - share - 0.05 * tol:
+            if _tree_error(taps, stages) <= tol - share - relief:
                 break
         else:
             continue
         for length in layouts.lengths(scene, away):
-            layout = Layout(length, fans, taps, SPARE, _clear(scene, height, length / math.prod(fans), taps.rate, share))
+            layout = Layout(
+                length,
+                fans,
+                taps,
+                SPARE,
+                layouts.clear(scene, height, length / math.prod(fans), taps.rate, SHARE_PHASE * share),
+            )
             cost = layouts.seconds(scene, frame, layout, runs)
             if best is None or cost < best[0]:
                 best = (cost, layout)
     if best is None:
         return None, "no interpolation keeps tol: all terms"
     layout = best[1]
-    forest = factorised.grow(scene, frame, frame.mask, layout, near)
-    while whole and forest is not None and forest.share < 1 and layout.length > best[1].length / 8:
+    forest = grow(scene, frame, frame.mask, layout, near, relief)
+    # shorter groups see more as from a line, and nearer pixels from afar
+    while (forest is None or (whole and forest.share < 1)) and layout.length > best[1].length / 8:
         length = layout.length * 0.7
-        clear = _clear(scene, height, length / math.prod(layout.fans), layout.taps.rate, share)
+        clear = layouts.clear(scene, height, length / math.prod(layout.fans), layout.taps.rate, SHARE_PHASE * share)
         layout = dataclasses.replace(layout, length=length, clear=clear)
-        forest = factorised.grow(scene, frame, frame.mask, layout, near)
+        forest = grow(scene, frame, frame.mask, layout, near, relief)
     if forest is None or not any(t.read.any() for t in forest.trees):
-        return None, "no pixel far enough from all groups of pings: all terms"
+        return None, "no pixel far enough from all groups of pings, or too steep a relief: all terms"
     choices = _choose(forest.scene, share, backend, SHARE_ROUNDING, forest.rate)
     errors = choices.errors | {"sub-images": _tree_error(best[1].taps, len(best[1].fans) + 1)}
+    stack = max(sheet.planes.size for sheet in forest.sheets)
+    if not all(sheet.flat for sheet in forest.sheets):
+        errors["relief"] = relief
     forest.choices = dataclasses.replace(choices, errors=errors)
-    forest.seconds = best[0]
+    forest.seconds = best[0] * stack
     return forest, ""
-
-
-def _clear(scene: Scene, height: float, extent: float, rate: float, tol: float) -> float:
-    """Slant range from which the delay polynomials of a leaf's rays hold, for leaves of `extent` m at most `height` up.
-
-    Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where x/r has
-    the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r. Polynomials
-    through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both ways.
-    """
-    heard = scene.geometry[scene.heard]
-    reach = extent / 2 + float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1))) / 2
-    half = 31.5 * scene.c / (4 * scene.band * scene.fs * rate)
-    k = np.arange(1, 400)
-    powers = np.cumprod(np.concatenate([[0.5], (k[:-1] - 0.5) / (k[:-1] + 1)])) * np.prod(2 * k[:, None] + np.arange(5), axis=1)
-
-    def wrong(slant: float) -> float:
-        lateral = float(powers @ np.exp(2 * k * np.log(max(height, 1e-9) / slant))) / slant**5
-        fifth = reach * lateral + 120 * reach * (height + 2 * reach) / slant**6
-        return 2 * 2 * np.pi * scene.fc / scene.c * fifth * half**5 / 1920 - SHARE_PHASE * tol
-
-    low, high = max(height, 1e-3) * (1 + 1e-6), 1e3 * (height + reach + half)
-    if wrong(high) >= 0:
-        return math.inf
-    return low if wrong(low) <= 0 else float(scipy.optimize.brentq(wrong, low, high, rtol=1e-3))
 
 
 def _tree_error(taps: tree.Taps, stages: int) -> float:

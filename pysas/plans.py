@@ -14,7 +14,7 @@ from pysas._checks import ComplexArray
 from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, native, summation
-from pysas.factorised import Forest
+from pysas.forest import Forest
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene

@@ -42,6 +42,7 @@ class Scene:
         geometry[:, 12] = np.repeat(echoes.start_time, channels)
         self.geometry = geometry
         self.weights = _weights(weights, pings, channels)
+        self.bottom, self.top = float(low[2]), float(high[2])
         near_tx, far_tx = _distances(tx, low, high)
         near_rx, far_rx = _distances(rx, low, high)
         speed = np.linalg.norm(geometry[:, 6:9], axis=1)

@@ -33,11 +33,12 @@ class Medium:
 
 @dataclass(frozen=True)
 class Group:
-    """Traces of one group (positions in the tree's order), centre (3,) of their phase centres, extent (m), largest first."""
+    """Traces of one group (positions in the tree's order), centre (3,) of their phase centres, extent (m) along axis (3,)."""
 
     traces: IntArray
     centre: FloatArray
     extent: float
+    axis: FloatArray
 
 
 def phase_centres(geometry: FloatArray, delay: float) -> FloatArray:
@@ -52,7 +53,27 @@ def group(traces: IntArray, centres: FloatArray) -> tuple[Group, FloatArray]:
     axis = np.linalg.eigh(np.cov(points - middle, rowvar=False) if len(points) > 1 else np.eye(3))[1][:, -1]
     along = (points - middle) @ axis
     low, high = float(along.min()), float(along.max())
-    return Group(traces, middle + axis * (low + high) / 2, high - low), along
+    return Group(traces, middle + axis * (low + high) / 2, high - low, axis if high > low else np.array([1.0, 0, 0])), along
+
+
+def onto(points: FloatArray, members: Group, plane: float) -> tuple[FloatArray, FloatArray]:
+    """Where the plane has the points' (..., 3) slant range and place along a group's axis, and how far beside that axis (...).
+
+    A group on a line sees the two alike. NaN where the plane has no such place.
+    """
+    across = float(np.linalg.norm(members.axis[:2]))
+    if across < 0.7:
+        return np.full(points.shape, np.nan), np.full(points.shape[:-1], np.nan)
+    ahead = members.axis[:2] / across
+    beside = np.array([-ahead[1], ahead[0]])
+    away = points - members.centre
+    height = members.centre[2] - plane
+    along = (away @ members.axis + height * members.axis[2]) / across
+    square = np.sum(away**2, axis=-1) - height**2 - along**2
+    side = away[..., :2] @ beside
+    off = np.copysign(np.sqrt(np.where(square > 0, square, np.nan)), side)
+    place = members.centre[:2] + along[..., None] * ahead + off[..., None] * beside
+    return np.concatenate([place, np.full((*off.shape, 1), plane)], axis=-1), np.minimum(np.abs(off), np.abs(side))
 
 
 def cut_track(centres: FloatArray, pings: IntArray, length: float) -> list[IntArray]:

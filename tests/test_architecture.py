@@ -32,7 +32,7 @@ DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pys
 TOOLS = {"pysas._pool"}  # threads for any loop: without NumPy, so without a delay
 EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas.commands", "pysas.demo", "pysas.tracks"}
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
-ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised")
+ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised", "pysas.forest")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
 OPTIONAL = {"matplotlib", "h5py", "xarray"}
 # public without standing in pysas.__all__: importing it needs an optional library

@@ -235,20 +235,35 @@ void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const
 }
 
 void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<std::int64_t>& shape,
-                    const Array<std::int32_t>& range, Array<float> store, const Array<double>& first,
-                    const Array<double>& step, const std::optional<py::array_t<bool>>& mask, int count,
-                    const Array<std::uint8_t>& wanted, const py::array& image, int threads, const std::string& isa,
-                    const py::object& tick) {
+                    const Array<std::int32_t>& range, Array<float> store,
+                    const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
+                    const std::optional<Array<double>>& points, const std::optional<Array<double>>& axis,
+                    const std::optional<Array<double>>& heights, int number,
+                    const std::optional<py::array_t<bool>>& mask, int count, const Array<std::uint8_t>& wanted,
+                    const py::array& image, int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto from = images_of(place, shape, range, store);
+    Stack stack{};
+    if (points) {
+        if (!axis || !heights || axis->size() != 3 || heights->size() > max_planes || number >= heights->size())
+            throw py::value_error("points: an axis and heights");
+        std::copy_n(axis->data(), 3, stack.axis);
+        std::copy_n(heights->data(), heights->size(), stack.height);
+        stack.count = static_cast<int>(heights->size());
+        stack.number = number;
+    }
     const auto call = [&](auto pixel) {
         const auto to = view<decltype(pixel), 2>(image);
-        const Frame frame{
-            first.data(), step.data(), nullptr, mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-            to.shape[0],  to.shape[1], count};
+        const Frame frame{pointer(first),
+                          pointer(step),
+                          points ? points->data() : nullptr,
+                          mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
+                          to.shape[0],
+                          to.shape[1],
+                          count};
         const py::gil_scoped_release gil;
-        read(kernels, tree.tree, from[0], frame, wanted.data(), to, threads, check);
+        read(kernels, tree.tree, from[0], frame, points ? &stack : nullptr, wanted.data(), to, threads, check);
     };
     if (image.itemsize() == 8)
         call(std::complex<float>());
@@ -295,8 +310,9 @@ PYBIND11_MODULE(_core, m) {
     m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
           "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,
           "isa"_a, "tick"_a, "Fill sub-images from their children's.");
-    m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a, "mask"_a,
-          "count"_a, "wanted"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
+    m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a,
+          "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
+          "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a,
           "Add a batch's terms to an image; returns how many.");

@@ -195,7 +195,7 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
 }
 
 template <typename Pixel>
-void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Frame& frame,
+void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Frame& frame, const Stack* stack,
           const std::uint8_t* wanted, const View<Pixel, 2>& image, int threads, const Tick& tick) {
     const Tiling tiling(frame);
     run(
@@ -208,13 +208,16 @@ void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const 
             std::uint8_t active[tile_rows];
             ReadJob job{&tree,
                         &from,
-                        lines,
+                        stack ? nullptr : lines,
+                        stack ? frame.points + 3 * (tile.top * frame.width + tile.left) : nullptr,
+                        frame.width,
+                        stack,
                         active,
                         static_cast<int>(tile.bottom - tile.top),
                         static_cast<int>(tile.right - tile.left),
                         re,
                         im};
-            tiling.lines(tile, lines);
+            if (!stack) tiling.lines(tile, lines);
             for (int r = 0; r < job.rows; ++r) active[r] = tiling.any(tile.top + r, tile.left, tile.right);
             kernels.read(job);
             using value = typename Pixel::value_type;
@@ -228,9 +231,9 @@ void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const 
         tick);
 }
 
-template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const std::uint8_t*,
+template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const Stack*, const std::uint8_t*,
                    const View<std::complex<float>, 2>&, int, const Tick&);
-template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const std::uint8_t*,
+template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const Stack*, const std::uint8_t*,
                    const View<std::complex<double>, 2>&, int, const Tick&);
 
 }  // namespace pysas

@@ -144,11 +144,23 @@ struct MergeJob {
     float* work;
 };
 
-// Lines of pixels read from a sub-image and added to (rows, block) sums.
+// How pixels off a sub-image's plane are read from it: at their range and place along the group's `axis`, which a group
+// on that axis sees alike; weighed as value `number` of the polynomial through values at `count` heights.
+constexpr int max_planes = 8;
+struct Stack {
+    double axis[3], height[max_planes];
+    int count, number;
+};
+
+// Pixels read from a sub-image and added to (rows, block) sums: lines on its plane, or points near it, `apart` points
+// from row to row, through a stack.
 struct ReadJob {
     const Tree* tree;
     const SubImage* image;
-    const double* lines;  // (rows, 6)
+    const double* lines;  // (rows, 6), or null
+    const double* points;
+    std::int64_t apart;
+    const Stack* stack;
     const std::uint8_t* active;
     int rows, count;
     float *re, *im;

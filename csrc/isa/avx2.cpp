@@ -102,10 +102,11 @@ struct Double {
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 #include "kernels/leaf.inl"
+#include "kernels/reading.inl"
 
 }  // namespace
 
 const Kernels kernels{"avx2",       &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
+                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_pixels<Float>};
 
 }  // namespace pysas::avx2

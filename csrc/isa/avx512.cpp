@@ -95,10 +95,11 @@ struct Double {
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 #include "kernels/leaf.inl"
+#include "kernels/reading.inl"
 
 }  // namespace
 
 const Kernels kernels{"avx512",     &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_lines<Float>};
+                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_pixels<Float>};
 
 }  // namespace pysas::avx512

@@ -220,7 +220,7 @@ void a_constant_goes_through_the_tree() {
         const Frame frame{begin.data(), along.data(), nullptr, nullptr, 40, 100, 50};
         const std::vector<std::uint8_t> wanted(4, 1);
         const View<std::complex<float>, 2> to{image.data(), {40, 100}, {100, 1}};
-        read(kernels, tree, top[0], frame, wanted.data(), to, 2, {});
+        read(kernels, tree, top[0], frame, nullptr, wanted.data(), to, 2, {});
         double worst = 0;
         for (int r = 0; r < 40; ++r) {
             for (int m = 0; m < 100; ++m) {

@@ -132,8 +132,12 @@ def read(
     shape: npt.NDArray[np.int64],
     range: npt.NDArray[np.int32],
     store: npt.NDArray[np.float32],
-    first: npt.NDArray[np.float64],
-    step: npt.NDArray[np.float64],
+    first: npt.NDArray[np.float64] | None,
+    step: npt.NDArray[np.float64] | None,
+    points: npt.NDArray[np.float64] | None,
+    axis: npt.NDArray[np.float64] | None,
+    heights: npt.NDArray[np.float64] | None,
+    number: int,
     mask: npt.NDArray[np.bool_] | None,
     count: int,
     wanted: npt.NDArray[np.uint8],
@@ -142,4 +146,4 @@ def read(
     isa: str,
     tick: Callable[[float], object] | None,
 ) -> None:
-    """Add a sub-image to the `wanted` tiles of `image` (line, pixel)."""
+    """Add a sub-image to the `wanted` tiles of `image` (line, pixel): lines on its plane, or points near it."""

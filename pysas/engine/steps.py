@@ -40,6 +40,21 @@ class Setting:
     isa: str
 
 
+@dataclass(frozen=True)
+class Stack:
+    """How pixels off a sub-image's plane are read from it: at their range and place along its group's axis (3,).
+
+    They weigh what the polynomial through values on all `heights` (m), of which this plane's is `number`, has of it.
+    """
+
+    axis: FloatArray
+    heights: FloatArray
+    number: int
+
+
+Lines = tuple[FloatArray, FloatArray]  # first pixel and step of each
+
+
 @dataclass
 class Compiled:
     """The steps in C++; `room` traces at most have tables at a time."""
@@ -91,31 +106,35 @@ class Compiled:
         )  # fmt: skip
 
     def read(
-        self, top: SubImages, store: Single, first: FloatArray, step: FloatArray, mask: BoolArray | None, count: int,
-        tiles: BoolArray, image: ComplexArray,
+        self, top: SubImages, store: Single, lines: Lines | None, points: FloatArray | None, stack: Stack | None,
+        mask: BoolArray | None, count: int, tiles: BoolArray, image: ComplexArray,
     ) -> None:  # fmt: skip
-        """Add a sub-image at the pixels of `tiles`."""
+        """Add a sub-image at the pixels of `tiles`: of lines on its plane, or of points (line, pixel, 3) near it."""
+        first, step = (None, None) if lines is None else lines
+        axis, heights, number = (None, None, 0) if stack is None else (stack.axis, stack.heights, stack.number)
         native.core().read(
-            self.tree, top.place, top.shape, top.range, store, first, step, mask, count, tiles.astype(np.uint8), image,
-            self.setting.threads, self.setting.isa, None,
+            self.tree, top.place, top.shape, top.range, store, first, step, points, axis, heights, number, mask, count,
+            tiles.astype(np.uint8), image, self.setting.threads, self.setting.isa, None,
         )  # fmt: skip
 
     def direct(
         self,
         survey: Survey,
-        first: FloatArray,
-        step: FloatArray,
+        lines: Lines | None,
+        points: FloatArray | None,
         pixels: BoolArray,
         count: int,
         image: ComplexArray,
         tick: Tick,
     ) -> int:
-        """Add the prepared traces at `pixels`; how many terms."""
+        """Add the prepared traces at `pixels` of lines, or of points (1, pixel, 3); how many terms."""
         s = self.setting
+        first, step = (None, None) if lines is None else lines
+        flat = None if points is None else points[0]
         return int(
             native.core().add(
                 self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry, survey.model,
-                survey.kind, self.nodes, self.fit, first, step, None, pixels, count, image, s.threads, s.isa, tick,
+                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, image, s.threads, s.isa, tick,
             )
         )  # fmt: skip
 
@@ -158,12 +177,14 @@ class Interpreted:
                 end = int(rays[:, 1].max())
                 pieces += [(i, m, min(m + _numba.BLOCK, end)) for m in range(int(rays[:, 0].min()), end, _numba.BLOCK)]
         geometry, flat = self._numbered(survey)
+        model = survey.model.copy()
+        model[_numba.NEAR] = 0.0  # leaves have polynomials at any distance that the planner lets them have
 
         def add(task: int) -> None:
             i, begin, end = pieces[task]
             _numba_tree.leaf(
                 level.place[i], level.shape[i], level.range, begin, end, geometry[level.span[i] : level.span[i + 1]],
-                survey.model, survey.kind, flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs,
+                model, survey.kind, flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs,
                 self.setting.wave, self.turns[0], self.turns[1], store,
             )  # fmt: skip
 
@@ -191,8 +212,8 @@ class Interpreted:
             self._smooth_across(parent, store)
 
     def read(
-        self, top: SubImages, store: Single, first: FloatArray, step: FloatArray, mask: BoolArray | None, count: int,
-        tiles: BoolArray, image: ComplexArray,
+        self, top: SubImages, store: Single, lines: Lines | None, points: FloatArray | None, stack: Stack | None,
+        mask: BoolArray | None, count: int, tiles: BoolArray, image: ComplexArray,
     ) -> None:  # fmt: skip
         """As Compiled.read."""
         taps, wanted = self.setting.taps, np.flatnonzero(tiles)
@@ -203,11 +224,17 @@ class Interpreted:
             active = np.ones(rows.stop - rows.start, np.bool_) if mask is None else mask[rows, columns].any(axis=1)
             if not active.any():
                 return
-            lines = np.concatenate([first[rows] + columns.start * step[rows], step[rows]], axis=1)
-            out = np.zeros((len(lines), columns.stop - columns.start), dtype=np.complex64)
+            out = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.complex64)
+            pixels, axis, heights, number = np.empty((0, 0, 3)), np.zeros(3), np.empty(0), 0
+            blocks = np.zeros((len(out), 6))
+            if lines is not None:
+                blocks = np.concatenate([lines[0][rows] + columns.start * lines[1][rows], lines[1][rows]], axis=1)
+            if points is not None and stack is not None:
+                pixels, axis, heights, number = points[rows, columns], stack.axis, stack.heights, stack.number
             _numba_tree.read(
-                place, shape, store, taps.even, taps.odd, self.setting.wave, self.turns[0], self.turns[1], lines, active, out
-            )
+                place, shape, store, taps.even, taps.odd, self.setting.wave, self.turns[0], self.turns[1], blocks, pixels, axis,
+                heights, number, active, out,
+            )  # fmt: skip
             image[rows, columns] += out
 
         self._run(look, len(wanted), None)
@@ -215,8 +242,8 @@ class Interpreted:
     def direct(
         self,
         survey: Survey,
-        first: FloatArray,
-        step: FloatArray,
+        lines: Lines | None,
+        points: FloatArray | None,
         pixels: BoolArray,
         count: int,
         image: ComplexArray,
@@ -232,10 +259,15 @@ class Interpreted:
             active = pixels[rows, columns].any(axis=1)
             if not active.any():
                 return
-            blocks = np.concatenate([first[rows] + columns.start * step[rows], step[rows]], axis=1)
-            out = np.zeros((len(blocks), columns.stop - columns.start), dtype=np.complex64)
+            width = columns.stop - columns.start
+            blocks, coords = np.zeros((rows.stop - rows.start, 6)), np.empty((0, 3))
+            if lines is not None:
+                blocks = np.concatenate([lines[0][rows] + columns.start * lines[1][rows], lines[1][rows]], axis=1)
+            if points is not None:
+                coords = points[rows, columns].reshape(-1, 3)
+            out = np.zeros((len(blocks), width), dtype=np.complex64)
             counted[task] = _numba.sum_tile(
-                np.empty((0, 3)), blocks, True, active, geometry, survey.model, survey.kind, flat,
+                coords, blocks, lines is not None, active, geometry, survey.model, survey.kind, flat,
                 summation.places(out.shape[1], np.float32), self.nodes, self.fit, self.half, self.sums[0], self.sums[1],
                 self.pairs, out,
             )  # fmt: skip

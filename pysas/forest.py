@@ -1,0 +1,368 @@
+"""Trees of sub-apertures over an image: which tiles are read from which, and which are summed directly. No choices.
+
+`Forest` holds, for each of the longest groups of pings, a tree of polar grids (subapertures.py), the tiles of the image read
+from it and those summed directly. See docs/ffbp.md.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import subapertures
+from pysas._checks import FloatArray
+from pysas.engine import MOVING, native
+from pysas.engine.tree import Taps
+from pysas.scene import Scene
+from pysas.subapertures import BoolArray, Medium, Reads, Subtree
+
+if TYPE_CHECKING:
+    from pysas.backprojection import Frame
+    from pysas.planner import Choices
+
+TILE_ROWS = 32
+MOST_PLANES = 6
+WIDE = 0.3  # a tile's radius, seen from a group, at most: rad
+
+
+@dataclass(frozen=True)
+class Tree:
+    """One of the longest groups: its sub-images if any tile is read from it, its traces (flat numbers), the tiles' fates."""
+
+    order: npt.NDArray[np.int64]
+    read: BoolArray
+    direct: BoolArray
+    subtree: Subtree | None
+    group: subapertures.Group
+
+
+@dataclass
+class Sheet:
+    """Lines [begin, end) of the image and the trees of a horizontal plane that they are read from.
+
+    Lines that lie on no plane are read from a stack of them, polynomials through number `number` of `planes` (heights, m).
+    """
+
+    begin: int
+    end: int
+    width: int
+    plane: float
+    mask: npt.NDArray[np.bool_] | None
+    active: BoolArray  # tiles with any pixel wanted
+    corners: FloatArray  # of tiles, or of boxes about them
+    planes: FloatArray
+    number: int = 0
+    trees: list[Tree] = field(default_factory=list)
+
+    @property
+    def flat(self) -> bool:
+        return bool(np.all(self.corners[..., 2] == self.plane))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling.
+
+    `clear`: slant range (m) that nodes must have.
+    """
+
+    length: float
+    fans: tuple[int, ...]
+    taps: Taps
+    spare: float
+    clear: float
+
+
+@dataclass
+class Forest:
+    """All trees of an image."""
+
+    scene: Scene
+    frame: Frame
+    layout: Layout
+    rate: Fraction  # nodes per sample
+    step: float
+    sheets: list[Sheet]
+    choices: Choices
+    share: float
+    seconds: float = 0.0
+
+    @property
+    def trees(self) -> list[Tree]:
+        return [t for sheet in self.sheets for t in sheet.trees]
+
+    @property
+    def store_bytes(self) -> int:
+        """Of the sub-images alive at a time: a batch of leaves, and one sub-image of each level above them."""
+        most: dict[int, int] = {}
+        for t in self.trees:
+            levels = t.subtree.levels if t.subtree is not None else ()
+            for i, level in enumerate(levels):
+                leaves = [(first, last) for _, _, first, last in batches(t, self.choices.batch)]
+                parts = leaves if i == 0 else [(k, k + 1) for k in range(len(level))]
+                most[i] = max(most.get(i, 0), *(4 * level.part(first, last).size for first, last in parts))
+        return sum(most.values())
+
+    def describe(self) -> list[str]:
+        """The tree, for print(plan)."""
+        taps, trees = self.layout.taps, [t for t in self.trees if t.subtree is not None]
+        lines = [
+            f"  tree           {len(self.trees)} groups of at most {max(t.group.extent for t in self.trees):.3g} m, "
+            f"{taps.width} taps at {taps.rate:.3g} x the band, nodes every {self.step:.3g} m",
+            f"  factorised     {100 * self.share:.1f} % of the terms, the rest summed directly",
+        ]
+        stack = max(sheet.planes.size for sheet in self.sheets)
+        if stack > 1:
+            lines.append(f"  relief         pixels read from {stack} planes each, trees for all of them")
+        if trees:
+            levels = trees[len(trees) // 2].subtree.levels  # type: ignore[union-attr]
+            for i, level in enumerate(levels):
+                made = f"{level.span[-1] / len(level):.3g} {'traces' if i == 0 else 'sub-images'} each"
+                lines.append(
+                    f"    level {i}      {len(level)} sub-images of {made}, {level.nodes / len(level):.3g} nodes, "
+                    f"a ray every {np.mean(level.place[:, 5]):.2g} rad"
+                )
+        return lines
+
+
+def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
+    """The image's lines by the plane they lie on, or all of them where they lie on none."""
+    height, width = frame.shape
+    cuts = np.array([0, height])
+    if frame.straight and not np.any(frame.step[:, 2]):
+        steps = np.flatnonzero(np.diff(frame.first[:, 2])) + 1
+        if len(steps) < max(1, height // TILE_ROWS):
+            cuts = np.concatenate([[0], steps, [height]])
+    found = []
+    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+        top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
+        part = None if mask is None else np.ascontiguousarray(mask[begin:end])
+        active = np.ones((len(top), len(left)), dtype=np.bool_)
+        corners = np.empty((len(top), len(left), 8, 3))
+        for i, line in enumerate(top):
+            last = min(line + TILE_ROWS, end)
+            if frame.straight:  # a line's ends bound it
+                ends = frame.first[[line, last - 1]][:, None] + frame.step[[line, last - 1]][:, None] * np.stack(
+                    [left, np.minimum(left + frame.count, width) - 1], axis=1
+                ).reshape(1, -1, 1)
+                box = ends.reshape(2, len(left), 2, 3).transpose(1, 0, 2, 3).reshape(len(left), 4, 3)
+                corners[i] = np.concatenate([box, box], axis=1)
+            else:
+                points = frame.points(line * width, last * width).reshape(last - line, width, 3)
+                low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
+                low, high = low.min(axis=0), high.max(axis=0)
+                for k in range(8):
+                    corners[i, :, k] = np.where([k & 1, k & 2, k & 4], high, low)
+            if part is not None:
+                active[i] = np.add.reduceat(part[line - begin : last - begin].sum(axis=0), left) > 0
+        flat = corners.reshape(-1, 8, 3)
+        planes = np.array([(flat[..., 2].min() + flat[..., 2].max()) / 2])
+        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, active.ravel(), flat, planes))
+    return found
+
+
+def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: float) -> FloatArray | None:
+    """Heights of the planes that a sheet's pixels are read from by polynomials of height, or None where too many were needed.
+
+    At one range and one place along its axis a group's phases turn with the angle about that axis by what its transmitters and
+    receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev nodes lacks
+    a^n/(n! 2^(n-1)).
+    """
+    low, high = sheet.corners[sheet.active][..., 2].min(), sheet.corners[sheet.active][..., 2].max()
+    most = 0.0
+    for members in groups:
+        both = scene.geometry[members.traces, 0:3] + scene.geometry[members.traces, 3:6] - 2 * members.centre
+        off = float(np.max(np.linalg.norm(both - np.outer(both @ members.axis, members.axis), axis=1)))
+        _, beside = subapertures.onto(sheet.corners, members, sheet.plane)
+        clear = _beside(sheet.corners, beside, members)
+        if clear.any():
+            highest = 2 * np.pi * (scene.fc + scene.band * scene.fs) / scene.c
+            most = max(most, highest * off * (high - low) / 2 / float(beside[clear].min()))
+    for count in range(1, MOST_PLANES + 1):
+        if most**count / math.factorial(count) / 2 ** (count - 1) <= error:
+            nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))
+            return np.asarray((low + high) / 2 + (high - low) / 2 * nodes)
+    return None
+
+
+def _beside(corners: FloatArray, beside: FloatArray, members: subapertures.Group) -> BoolArray:
+    """Tiles that lie beside a group and not ahead, so that planes have all their ranges."""
+    ground = np.linalg.norm(corners[..., :2] - members.centre[:2], axis=-1)
+    return np.asarray(np.all(np.nan_to_num(beside) > 0.25 * ground, axis=1), dtype=np.bool_)
+
+
+def _fates(
+    scene: Scene, order: npt.NDArray[np.int64], members: subapertures.Group, sheet: Sheet, layout: Layout, step: float,
+    near: float,
+) -> tuple[BoolArray, BoolArray]:  # fmt: skip
+    """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted."""
+    corners, active = sheet.corners, sheet.active
+    middle = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
+    ground = np.linalg.norm(middle[:, :2] - members.centre[:2], axis=1)
+    nearest = ground - radius
+    # nodes that a read depends on lie this much further out or in, and to the sides
+    reach = (len(layout.fans) + 1) * (layout.taps.reach + 4) * step
+    heights = np.abs(members.centre[2] - corners[active][..., 2])
+    least = max(float(np.hypot(subapertures.NEAR * members.extent, heights.max())), layout.clear)
+    away = subapertures.slant(np.maximum(nearest, 0), float(heights.min()))
+    read = active & (away >= near) & (away - reach >= least) & (radius <= WIDE * ground)
+    for plane in () if sheet.flat else sheet.planes:
+        seen, beside = subapertures.onto(corners, members, plane)
+        closest = np.linalg.norm(np.nan_to_num(seen[..., :2] - members.centre[:2]), axis=-1).min(axis=1)
+        read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
+    some = order[:: max(1, len(order) // 32)]
+    geometry = scene.geometry[some]
+    places = subapertures.phase_centres(scene.geometry[order], 0.0)
+    slack = float(np.max(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=0.0)) * max(1, len(order) // 32)
+    heard = np.zeros_like(active)
+    inside = np.ones_like(active)
+    for row in geometry:
+        there = np.linalg.norm(middle - row[0:3], axis=1)
+        back = np.linalg.norm(middle - row[3:6], axis=1)
+        speed = float(np.linalg.norm(row[6:9]))
+        spread = 2 * (radius + slack)
+        low = ((there + back - spread - 2 * reach) / (scene.c + speed) - row[12]) * scene.fs
+        high = ((there + back + spread + 2 * reach) / (scene.c - speed) - row[12]) * scene.fs
+        heard |= (high >= 0) & (low <= scene.n_sample - 1)
+        inside &= (low >= 0) & (high <= scene.n_sample - 1)
+        if scene.cos_beam > -1:
+            lateral = radius + slack + 6 * layout.taps.reach * subapertures.WIDEST * ground
+            cosine = np.sum((middle - row[0:3]) * row[9:12], axis=1) / np.maximum(there, 1e-9)
+            angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.minimum(1, lateral / np.maximum(there, 1e-9)))
+            inside &= (angle <= np.arccos(scene.cos_beam)) & (lateral < there)
+    read &= inside
+    return read, active & heard & ~read
+
+
+def grow(
+    scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float, relief: float
+) -> Forest | None:
+    """All trees of an image, without choices for the direct sums; None where no pixel can be read from one.
+
+    `relief` : relative error that reading pixels off their planes may cost.
+    """
+    order = np.flatnonzero(scene.heard if scene.weights is None else scene.heard & (scene.weights != 0))
+    if not order.size:
+        return None
+    medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs)
+    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
+    centres = subapertures.phase_centres(scene.geometry, delay)
+    pieces = [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, layout.length)]
+    groups = [subapertures.group(part, centres) for part in pieces]
+    # one node spacing for all grids: neighbours along a parent's ray are neighbours on a child's
+    highest = 1e-9
+    step = scene.c / (2 * medium.bandwidth * layout.taps.rate)
+    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Reads]]]] = []
+    for base in sheets(frame, mask):
+        if not base.active.any():
+            continue
+        planes = base.planes if base.flat else _stack(base, [members for members, _ in groups], scene, relief)
+        if planes is None:
+            return None
+        base = replace(base, planes=planes)
+        fates = [
+            _fates(scene, piece, members, base, layout, step, near) for piece, (members, _) in zip(pieces, groups, strict=True)
+        ]
+        for k, plane in enumerate(planes):
+            sheet, seen = replace(base, plane=float(plane), number=k, trees=[]), []
+            for (members, _), (read, direct) in zip(groups, fates, strict=True):
+                reads = Reads(base.corners if base.flat else subapertures.onto(base.corners, members, sheet.plane)[0])
+                seen.append((read, direct if k == 0 else np.zeros_like(direct), reads))  # once is enough
+                if read.any():
+                    angle, bearings, grounds = reads.seen_from(members.centre, np.flatnonzero(read))
+                    angles = angle + np.linspace(bearings.min(), bearings.max(), 9)
+                    some = np.linspace(grounds.min(), grounds.max(), 4)
+                    highest = max(highest, subapertures.bands(members, scene.geometry, medium, sheet.plane, angles, some)[1])
+            found.append((sheet, seen))
+    # and as long as a table's intervals, of which there are a simple number to a sample
+    rate = native.simple_rate(scene.c * layout.taps.rate * layout.spare * highest / scene.fs)
+    step = scene.c * rate.denominator / (2 * scene.fs * rate.numerator)
+    wider = copy.copy(scene)
+    wider.first, wider.last = scene.first.copy(), scene.last.copy()
+    through = everything = 0
+    for sheet, seen in found:
+        pixels = _sizes(sheet, frame.count)
+        for piece, (members, along), (read, direct, reads) in zip(pieces, groups, seen, strict=True):
+            if not (read.any() or direct.any()):
+                continue
+            subtree = None
+            if read.any():
+                subtree = subapertures.plant(
+                    members, along, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, read, step, layout.taps,
+                    layout.spare,
+                )  # fmt: skip
+                _widen(wider, subtree, step)
+            traces = piece if subtree is None else subtree.traces
+            sheet.trees.append(Tree(traces, read, direct, subtree, members))
+            if sheet.number == 0:
+                through += len(traces) * int(pixels[read].sum())
+                everything += len(traces) * int(pixels[read | direct].sum())
+    grown = [sheet for sheet, _ in found if sheet.trees]
+    if not any(t.read.any() for sheet in grown for t in sheet.trees):
+        return None
+    return Forest(wider, frame, layout, rate, step, grown, None, through / max(everything, 1))  # type: ignore[arg-type]
+
+
+def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
+    """Samples that a tree's leaves ask of their traces, whatever the image asks."""
+    leaves = subtree.levels[0]
+    for i in range(len(leaves)):
+        traces = subtree.traces[leaves.span[i] : leaves.span[i + 1]]
+        i0, rays, _, _, first = leaves.shape[i]
+        ends = leaves.range[first : first + rays]
+        ends = ends[ends[:, 0] < ends[:, 1]] + i0
+        centre = leaves.place[i, :3]
+        low, high = (ends[:, 0].min() - 1) * step, (ends[:, 1].max() + 1) * step
+        g = scene.geometry[traces]
+        apart = np.linalg.norm(g[:, 0:3] - centre, axis=1) + np.linalg.norm(g[:, 3:6] - centre, axis=1)
+        speed = np.linalg.norm(g[:, 6:9], axis=1)
+        begin = np.floor(((np.maximum(2 * low - apart, 0)) / (scene.c + speed) - g[:, 12]) * scene.fs).astype(np.int64)
+        end = np.ceil(((2 * high + apart) / (scene.c - speed) - g[:, 12]) * scene.fs).astype(np.int64)
+        scene.first[traces] = np.maximum(np.minimum(scene.first[traces], begin), 0)
+        scene.last[traces] = np.minimum(np.maximum(scene.last[traces], end), scene.n_sample - 1)
+
+
+def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
+    """Traces [begin, end) at a time, of leaves [first, last)."""
+    if t.subtree is None:
+        return [(b, min(b + batch, len(t.order)), 0, 0) for b in range(0, len(t.order), batch)]
+    levels = t.subtree.levels
+    span = levels[0].span
+    found, leaf = [], 0
+    while leaf < len(span) - 1:
+        last = max(leaf + 1, int(np.searchsorted(span, span[leaf] + batch, side="right")) - 1)
+        if len(levels) > 1:  # whole parents, if one fits: what is merged in parts is read and written again
+            whole = int(levels[1].span[np.searchsorted(levels[1].span, last, side="right") - 1])
+            last = whole if whole > leaf else last
+        found.append((int(span[leaf]), int(span[last]), leaf, last))
+        leaf = last
+    return found
+
+
+def _sizes(sheet: Sheet, count: int) -> npt.NDArray[np.int64]:
+    """Pixels of each tile."""
+    height, width = sheet.end - sheet.begin, sheet.width
+    down, across = -(-height // TILE_ROWS), -(-width // count)
+    rows = np.minimum(TILE_ROWS, height - TILE_ROWS * np.arange(down))
+    columns = np.minimum(count, width - count * np.arange(across))
+    return np.asarray((rows[:, None] * columns).ravel())
+
+
+def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool_]:
+    """The pixels of some tiles, (line, pixel)."""
+    height = sheet.end - sheet.begin
+    grid = tiles.reshape(-(-height // TILE_ROWS), -1)
+    full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : sheet.width]
+    return np.ascontiguousarray(full if sheet.mask is None else full & sheet.mask)
+
+
+def wanted(tiles: BoolArray, sheet: Sheet, count: int) -> int:
+    """How many pixels some tiles have."""
+    return int(np.count_nonzero(pixels_of(tiles, sheet, count)))
