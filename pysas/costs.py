@@ -35,10 +35,10 @@ def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: S
 # a tree, ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
 # two with what each tap adds
 TREE_NS = {
-    "avx512": (0.75, 5.0, (2.0, 0.6), (7.0, 0.8)),
-    "avx2": (1.3, 6.0, (1.5, 1.1), (9.0, 1.2)),
-    "baseline": (3.5, 20.0, (10.0, 4.0), (10.0, 20.0)),
-    "numba": (3.3, 8.0, (3.0, 1.5), (15.0, 5.0)),
+    "avx512": (0.65, 4.0, (1.0, 0.65), (6.0, 0.7)),
+    "avx2": (0.9, 4.0, (1.5, 0.6), (6.5, 0.7)),
+    "baseline": (4.8, 15.0, (8.0, 1.8), (15.0, 1.7)),
+    "numba": (3.2, 10.0, (3.0, 1.4), (38.0, 2.0)),
 }
 
 

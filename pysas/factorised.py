@@ -51,7 +51,8 @@ def ffbp(
         Relative error that is kept, as in `backproject`.
     fallback : bool
         Whether terms that cannot be factorised, or not within `tol`, are summed directly: pixels near the track or across
-        the ends of records or beams, relief too high for its track, tolerances below 3e-5. False: an error says why. `image.report.factorised_share` tells how much went through the tree.
+        the ends of records or beams, relief too high for its track, tolerances below 3e-5. False: an error says why.
+        `image.report.factorised_share` tells how much went through the tree.
     threads, backend, weights, nan, out, progress
         As in `backproject`.
 

@@ -261,9 +261,8 @@ def _level(nodes: list[_Node], spans: list[int], plane: float, step: float) -> S
 
 @dataclass(frozen=True)
 class Subtree:
-    """One of the longest groups: tiles read from it, its traces in the leaves' order, and levels, leaves first."""
+    """One of the longest groups: its traces in the leaves' order, and levels, leaves first."""
 
-    tiles: BoolArray
     traces: IntArray
     levels: tuple[SubImages, ...]
 
@@ -284,4 +283,4 @@ def plant(
         below = [len(node.children) if depth + 1 < len(levels) else len(node.members.traces) for node in nodes]
         built.append(_level(nodes, below, plane, step))
     traces = np.concatenate([node.members.traces for node in levels[-1]])
-    return Subtree(tiles, traces, tuple(built[::-1]))
+    return Subtree(traces, tuple(built[::-1]))

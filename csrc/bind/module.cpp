@@ -119,31 +119,40 @@ void prepare_batch(const py::array& data, const Array<std::int64_t>& order, cons
         call(std::complex<double>(), double());
 }
 
+// What the kernels sum; nodes of delay polynomials apart.
+template <typename Real>
+Terms<Real> terms_of(const py::array& table, int degree, const std::vector<double>& sine,
+                     const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
+                     int kind) {
+    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 7 * sizeof(double),
+                  "rows of the geometry and the model are read as these structs");
+    const auto tables = view<const Real, 3>(table);
+    Terms<Real> terms{};
+    terms.table = tables.data;
+    terms.trace_stride = tables.stride[0];
+    terms.plane_stride = tables.stride[1];
+    terms.degree = degree;
+    terms.trig = static_cast<int>(sine.size());
+    std::copy(sine.begin(), sine.end(), terms.sine);
+    std::copy(cosine.begin(), cosine.end(), terms.cosine);
+    terms.traces = reinterpret_cast<const Trace*>(geometry.data());
+    terms.n_trace = geometry.shape(0);
+    terms.model = *reinterpret_cast<const Model*>(model.data());
+    terms.kind = static_cast<Kind>(kind);
+    return terms;
+}
+
 std::int64_t add_batch(const py::array& table, int degree, const std::vector<double>& sine,
                        const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
                        int kind, const Array<double>& nodes, const Array<double>& fit,
                        const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
                        const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
                        int count, const py::array& image, int threads, const std::string& isa, const py::object& tick) {
-    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 7 * sizeof(double),
-                  "rows of the geometry and the model are read as these structs");
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto call = [&](auto real, auto pixel) {
         using Real = decltype(real);
-        const auto tables = view<const Real, 3>(table);
-        Terms<Real> terms{};
-        terms.table = tables.data;
-        terms.trace_stride = tables.stride[0];
-        terms.plane_stride = tables.stride[1];
-        terms.degree = degree;
-        terms.trig = static_cast<int>(sine.size());
-        std::copy(sine.begin(), sine.end(), terms.sine);
-        std::copy(cosine.begin(), cosine.end(), terms.cosine);
-        terms.traces = reinterpret_cast<const Trace*>(geometry.data());
-        terms.n_trace = geometry.shape(0);
-        terms.model = *reinterpret_cast<const Model*>(model.data());
-        terms.kind = static_cast<Kind>(kind);
+        Terms<Real> terms = terms_of<Real>(table, degree, sine, cosine, geometry, model, kind);
         terms.nodes.count = static_cast<int>(nodes.size());
         std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
         std::copy_n(fit.data(), max_nodes * max_nodes, &terms.nodes.fit[0][0]);
@@ -199,19 +208,7 @@ void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, cons
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto images = images_of(place, shape, range, store);
-    Terms<float> terms{};
-    const auto tables = view<const float, 3>(table);
-    terms.table = tables.data;
-    terms.trace_stride = tables.stride[0];
-    terms.plane_stride = tables.stride[1];
-    terms.degree = degree;
-    terms.trig = static_cast<int>(sine.size());
-    std::copy(sine.begin(), sine.end(), terms.sine);
-    std::copy(cosine.begin(), cosine.end(), terms.cosine);
-    terms.traces = reinterpret_cast<const Trace*>(geometry.data());
-    terms.n_trace = geometry.shape(0);
-    terms.model = *reinterpret_cast<const Model*>(model.data());
-    terms.kind = static_cast<Kind>(kind);
+    Terms<float> terms = terms_of<float>(table, degree, sine, cosine, geometry, model, kind);
     terms.nodes = tree.tree.nodes;
     const std::int64_t* spans = span.data();
     const py::gil_scoped_release gil;
