@@ -7,6 +7,7 @@ the same geometry. `print(plan)` and `plan.explain()` say what was chosen and wh
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import math
@@ -426,7 +427,9 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     block, near = 0, 0.0
     if scene.lines is not None:
         nodes = native.NODES["float32"] if backend == "cpp" else NODES
-        block, near, _ = _choose_delay(scene, share, nodes, True, SHARE_ROUNDING)
+        tiles = copy.copy(scene)
+        tiles.nearest = 0.9 * scene.nearest  # spheres about them reach nearer than their pixels
+        block, near, _ = _choose_delay(tiles, share, nodes, True, SHARE_ROUNDING)
         if not block:
             return None, "pixels too coarse for float32 blocks: all terms"
         block = _even_split(scene.line_length, block)

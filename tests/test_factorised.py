@@ -100,6 +100,16 @@ def test_keeps_tol_through_the_tree_alone(case, tol, engine):
     assert error(image, echoes, grid, right=right) <= tol
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("tol", [10 ** -(1 + i / 8) for i in range(28)] + [3e-5])
+def test_keeps_every_tol_through_the_tree_alone(case, tol, engine):
+    """Eight tolerances a decade."""
+    echoes, grid, right = case
+    image = pysas.ffbp(echoes, grid, tol, fallback=False)
+    assert image.report.factorised_share == 1
+    assert error(image, echoes, grid, right=right) <= tol
+
+
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("tol", [1e-1, 1e-3, 1e-5])
 def test_keeps_tol_on_the_scenes_of_the_sweep(name, tol, backend):
