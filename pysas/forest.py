@@ -113,7 +113,7 @@ class Forest:
         """The tree, for print(plan)."""
         taps, trees = self.layout.taps, [t for t in self.trees if t.subtree is not None]
         lines = [
-            f"  tree           {len(self.trees)} groups of at most {max(t.group.extent for t in self.trees):.3g} m, "
+            f"  trees          {len(self.trees)}, over groups of at most {max(t.group.extent for t in self.trees):.3g} m, "
             f"{taps.width} taps at {taps.rate:.3g} x the band, nodes every {self.step:.3g} m",
             f"  factorised     {100 * self.share:.1f} % of the terms, the rest summed directly",
         ]
