@@ -438,6 +438,13 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     frame = backprojection.Frame(grid, scene, block, rows=True)
     away = layouts.grounds(scene, frame)
     runs = native.isa_name() if backend == "cpp" else backend
+
+    def cleared(layout: Layout) -> Layout:
+        extent = layout.length / math.prod(layout.fans)
+        return dataclasses.replace(
+            layout, clear=layouts.clear(scene, height, extent, layout.taps.rate, SHARE_PHASE * share)
+        )  # fmt: skip
+
     best: tuple[float, Layout] | None = None
     for fans in FANS:
         stages = len(fans) + 1
@@ -448,25 +455,17 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         else:
             continue
         for length in layouts.lengths(scene, away):
-            layout = Layout(
-                length,
-                fans,
-                taps,
-                SPARE,
-                layouts.clear(scene, height, length / math.prod(fans), taps.rate, SHARE_PHASE * share),
-            )
+            layout = Layout(length, fans, taps, SPARE, 0.0)
             cost = layouts.seconds(scene, frame, layout, runs)
             if best is None or cost < best[0]:
                 best = (cost, layout)
     if best is None:
         return None, "no interpolation keeps tol: all terms"
-    layout = best[1]
+    layout = cleared(best[1])
     forest = grow(scene, frame, frame.mask, layout, near, relief)
     # shorter groups see more as from a line, and nearer pixels from afar
     while (forest is None or (whole and forest.share < 1)) and layout.length > best[1].length / 8:
-        length = layout.length * 0.7
-        clear = layouts.clear(scene, height, length / math.prod(layout.fans), layout.taps.rate, SHARE_PHASE * share)
-        layout = dataclasses.replace(layout, length=length, clear=clear)
+        layout = cleared(dataclasses.replace(layout, length=layout.length * 0.7))
         forest = grow(scene, frame, frame.mask, layout, near, relief)
     if forest is None or not any(t.read.any() for t in forest.trees):
         return None, "no pixel far enough from all groups of pings, or too steep a relief: all terms"
