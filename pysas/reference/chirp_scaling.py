@@ -19,7 +19,7 @@ from pysas.echoes import Echoes
 from pysas.image import Image, Report
 from pysas.pulse import LFM
 from pysas.reference.range_doppler import migration
-from pysas.reference.stripmap import Strip, band, prepare, reference
+from pysas.reference.stripmap import Strip, band, frequencies, prepare, reference
 
 _VANISHING = 0.8  # of c^2 S0^3 that 8 pi r K k_u^2 may reach: the rate K_s is then five times K
 _HIGHER_ORDER_BAND = 1.2  # bandwidths that the higher-order phase keeps, as the chirp's spectrum has skirts
@@ -91,11 +91,11 @@ def chirp_scaling(
     needed = _least_fs(strip, pulse, curvature, rate, r0)
     if needed > raw.fs:
         raise ValueError(
-            f"raw: fs={raw.fs:g} Hz: chirp scaling moves the ends of the record, {strip.swath[0]:.4g} and {strip.swath[1]:.4g} m, "
-            f"out of the sampled band: expected at least {needed:.4g} Hz, a longer pulse, a shorter record or a nearer "
-            f"reference_range"
+            f"raw: fs={raw.fs:g} Hz: chirp scaling moves the ends of the record, {strip.swath[0]:.4g} and "
+            f"{strip.swath[1]:.4g} m, out of the sampled band: expected at least {needed:.4g} Hz, a longer pulse, a shorter "
+            f"record or a nearer reference_range"
         )
-    f = np.fft.fftfreq(int(scipy.fft.next_fast_len(2 * n)), 1 / raw.fs)
+    f = frequencies(2 * n, raw.fs)
     # an echo's centre, at half the pulse's length, stands for its travel time
     t = strip.start - pulse.duration / 2 + np.arange(f.size) / raw.fs
     ranges = raw.c / 2 * t
@@ -111,14 +111,12 @@ def chirp_scaling(
         if not strip.kept[row]:
             return
         k_u, c1, k_s = float(strip.k_u[row]), float(curvature[row]), float(rate[row])
-        s0 = np.sqrt((2 * strip.wavenumber(np.zeros(1))[0]) ** 2 - k_u**2)
+        s0 = np.sqrt((2 * strip.k0) ** 2 - k_u**2)
         padded = np.zeros(f.size, dtype=np.complex128)
         padded[:n] = work[row, :n]
         if higher_order:
             padded = scipy.fft.fft(padded)
-            padded *= _beyond_second_order(strip, f, k_u, s0, r0) * (
-                np.abs(f) <= _HIGHER_ORDER_BAND * abs(pulse.bandwidth) / 2
-            )
+            padded *= _beyond_second_order(strip, f, k_u, s0, r0) * (np.abs(f) <= _HIGHER_ORDER_BAND * abs(pulse.bandwidth) / 2)
             padded = scipy.fft.ifft(padded)
         padded *= np.exp(1j * np.pi * k_s * c1 * (t - 2 * r0 / raw.c * (1 + c1)) ** 2)
         padded = scipy.fft.fft(padded)
@@ -145,14 +143,16 @@ def _pulse(raw: Echoes) -> LFM:
     if abs(raw.pulse.fc - raw.fc) > 1e-9 * raw.fc:
         raise ValueError(f"raw: fc={raw.fc:g} Hz, the pulse's {raw.pulse.fc:g} Hz: expected demodulation at the pulse's centre")
     if raw.pulse.duration >= raw.n_sample / raw.fs:
-        raise ValueError(f"raw: pulse of {raw.pulse.duration:g} s: expected shorter than the record, {raw.n_sample / raw.fs:g} s")
+        raise ValueError(
+            f"raw: pulse of {raw.pulse.duration:g} s: expected shorter than the record, {raw.n_sample / raw.fs:g} s"
+        )
     return raw.pulse
 
 
 def _second_order(strip: Strip) -> FloatArray:
     """8 pi k_u^2/(c^2 S0^3) of each processed row, s^2/m (0 in others)."""
     k_u = np.where(strip.kept, strip.k_u, 0.0)
-    s0 = np.sqrt((2 * strip.wavenumber(np.zeros(1))[0]) ** 2 - k_u**2)
+    s0 = np.sqrt((2 * strip.k0) ** 2 - k_u**2)
     return np.asarray(8 * np.pi * k_u**2 / (strip.echoes.c**2 * s0**3))
 
 
@@ -189,6 +189,5 @@ def _beyond_second_order(strip: Strip, f: FloatArray, k_u: float, s0: float, r0:
     c = strip.echoes.c
     k, w = strip.wavenumber(f), 2 * np.pi * f
     k_x = np.sqrt(np.clip(4 * k**2 - k_u**2, 0, None))
-    k0 = float(strip.wavenumber(np.zeros(1))[0])
-    phase = k_x - s0 - 4 * k0 / (c * s0) * w + 2 * k_u**2 / (c**2 * s0**3) * w**2
+    phase = k_x - s0 - 4 * strip.k0 / (c * s0) * w + 2 * k_u**2 / (c**2 * s0**3) * w**2
     return np.asarray(np.where(k_x > 0, np.exp(1j * r0 * phase), 0.0))

@@ -20,7 +20,7 @@ from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.image import Image, Report
-from pysas.reference.stripmap import Strip, band, even_ranges, matched_filter, prepare, reference
+from pysas.reference.stripmap import Strip, band, even_ranges, frequencies, matched_filter, prepare, reference
 
 INTERPOLATIONS = ("linear", "cubic", "sinc")
 _SINC_TAPS = 16
@@ -92,7 +92,7 @@ def omega_k(
     _checks.choice("interpolation", interpolation, INTERPOLATIONS)
     _checks.choice("weight", weight, ("flat", "backprojection"))
     zero_padding = _checks.whole("zero_padding", zero_padding)
-    workers = _checks.threads(threads)
+    workers, summed = _checks.threads(threads), weight == "backprojection"
     strip = prepare(echoes, along_bandwidth)
     stolt = _layout(strip, zero_padding, reference(echoes, reference_range), band(echoes, range_bandwidth), interpolation)
     n_sample = echoes.n_sample
@@ -100,7 +100,7 @@ def omega_k(
     matched = matched_filter(echoes, stolt.f)
     filters = np.ones(stolt.f.size, dtype=np.complex128) if matched is None else matched
     filters = filters * stolt.inside
-    gain = stolt.gain(weight == "backprojection")
+    gain = stolt.gain(summed)
     rows = max(1, _ROWS_BYTES // (stolt.f.size * work.itemsize))
     prepared = time.perf_counter()
 
@@ -113,7 +113,7 @@ def omega_k(
         for row, k_u in enumerate(strip.k_u[part]):
             if strip.kept[part.start + row]:
                 _shift(spectra[row], filters, *stolt.shift_arguments(k_u))
-                _map(spectra[row], mapped[row], stolt.taps, *stolt.map_arguments(k_u), weight == "backprojection")
+                _map(spectra[row], mapped[row], stolt.taps, summed, *stolt.map_arguments(k_u))
             else:
                 mapped[row] = 0
         mapped = scipy.fft.ifft(mapped, axis=1, overwrite_x=True, workers=1)[:, : stolt.ranges.size]
@@ -123,7 +123,8 @@ def omega_k(
     image = work[:, : stolt.ranges.size]
     image = scipy.fft.ifft(image, axis=0, overwrite_x=True, workers=workers)[: echoes.n_ping].T
     report = Report(
-        "omega-k", threads=workers, backend="numba", prepare_seconds=prepared - clock, sum_seconds=time.perf_counter() - prepared,
+        "omega-k", threads=workers, backend="numba", prepare_seconds=prepared - clock,
+        sum_seconds=time.perf_counter() - prepared,
         choices={"interpolation": interpolation, "zero_padding": zero_padding, "reference_range": stolt.r0, "weight": weight},
     )  # fmt: skip
     return Image(np.ascontiguousarray(image), strip.grid(stolt.ranges), report, echoes.fc, echoes.c)
@@ -166,8 +167,7 @@ class _Stolt:
 def _layout(strip: Strip, zero_padding: int, r0: float, width: float, interpolation: str) -> _Stolt:
     """Choose the grids: k_x spans all that the band maps to, the range grid all that may focus outside the record."""
     echoes = strip.echoes
-    n = int(scipy.fft.next_fast_len(zero_padding * echoes.n_sample))
-    f = np.fft.fftfreq(n, 1 / echoes.fs)
+    f = frequencies(zero_padding * echoes.n_sample, echoes.fs)
     lowest, highest = (4 * np.pi * (echoes.fc + sign * width / 2) / echoes.c for sign in (-1, 1))
     widest = float(np.max(np.abs(strip.k_u[strip.kept])))
     low = np.sqrt(max(lowest**2 - widest**2, 0.0))
@@ -185,7 +185,8 @@ def _layout(strip: Strip, zero_padding: int, r0: float, width: float, interpolat
     first = highest - (size - 0.5) * step
     if first < 0:
         first += step * np.ceil(-first / step)
-    return _Stolt(strip, f, (np.abs(f) <= width / 2) * 1.0, first, step, size, ranges, r0, _taps(interpolation, zero_padding))
+    inside = (np.abs(f) <= width / 2).astype(np.float64)
+    return _Stolt(strip, f, inside, first, step, size, ranges, r0, _taps(interpolation, zero_padding))
 
 
 def _taps(interpolation: str, zero_padding: int) -> FloatArray:
@@ -204,8 +205,8 @@ def _taps(interpolation: str, zero_padding: int) -> FloatArray:
     return np.asarray(np.sinc(u) * i0(beta * np.sqrt(inside)) / i0(beta))
 
 
-# Kernels: they trust their arguments. A decorator of Numba's carries no types.
-@njit(nogil=True, cache=True)  # type: ignore[untyped-decorator]
+# Kernels: they trust their arguments.
+@njit(nogil=True, cache=True)
 def _shift(row, filters, k_u, r0, start, df, fc, c):  # type: ignore[no-untyped-def]
     """Filter a spectrum in FFT order in place and move its origin of time to the reference range; zero where evanescent."""
     n = row.size
@@ -221,8 +222,8 @@ def _shift(row, filters, k_u, r0, start, df, fc, c):  # type: ignore[no-untyped-
             row[i] = 0.0
 
 
-@njit(nogil=True, cache=True)  # type: ignore[untyped-decorator]
-def _map(row, out, taps, k_u, first, step, turn, df, fc, c, summed):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _map(row, out, taps, summed, k_u, first, step, turn, df, fc, c):  # type: ignore[no-untyped-def]
     """Stolt: read the spectrum `row` at 2k = sqrt(k_x^2 + k_u^2), with the Jacobian and a phase `turn` per step of k_x."""
     n, phases, count = row.size, taps.shape[0] - 1, taps.shape[1]
     lowest = -(n // 2)

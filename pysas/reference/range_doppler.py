@@ -17,7 +17,7 @@ from pysas import _checks, _pool
 from pysas._checks import FloatArray
 from pysas.echoes import Echoes
 from pysas.image import Image, Report
-from pysas.reference.stripmap import Strip, band, even_ranges, matched_filter, prepare, reference
+from pysas.reference.stripmap import Strip, band, even_ranges, frequencies, matched_filter, prepare, reference
 
 _HALF_WIDTH = 8  # of the windowed sinc, samples: 16 points
 _LINEAR_RATE = 4  # oversampling before linear interpolation: its error is then 2 % at the band's edge
@@ -76,7 +76,7 @@ def range_doppler(
     curvature = migration(strip)
     n = echoes.n_sample
     # secondary compression moves echoes of other ranges by less than the record: no wrapping into it
-    f = np.fft.fftfreq(int(scipy.fft.next_fast_len(2 * n)), 1 / echoes.fs)
+    f = frequencies(2 * n, echoes.fs)
     matched = matched_filter(echoes, f)
     filters = np.where(np.abs(f) <= width / 2, 1.0 if matched is None else matched, 0.0)
     near, far = max(strip.swath[0], 0.0), strip.swath[1]
@@ -94,7 +94,7 @@ def range_doppler(
         spectrum *= np.exp(1j * r0 * coupling(strip, f, k_u, secondary)) * propagating(strip, f, k_u)
         place = (2 * ranges / echoes.c * (1 + curvature[row]) - strip.start) * echoes.fs
         read = _sinc if interpolation == "sinc" else _linear
-        s0 = np.sqrt((2 * strip.wavenumber(np.zeros(1))[0]) ** 2 - k_u**2)
+        s0 = np.sqrt((2 * strip.k0) ** 2 - k_u**2)
         line[: ranges.size] = read(spectrum, place, n) * np.exp(1j * ranges * s0)
 
     _pool.run(task, len(work), workers)
@@ -112,7 +112,7 @@ def migration(strip: Strip) -> FloatArray:
 
     Raises where a processed |k_u| reaches 2 k0.
     """
-    edge = 2 * float(strip.wavenumber(np.zeros(1))[0])
+    edge = 2 * strip.k0
     widest = float(np.max(np.abs(strip.k_u[strip.kept])))
     if widest >= 0.999 * edge:
         raise ValueError(
@@ -131,7 +131,7 @@ def propagating(strip: Strip, f: FloatArray, k_u: float) -> npt.NDArray[np.bool_
 def coupling(strip: Strip, f: FloatArray, k_u: float, secondary: str) -> FloatArray:
     """Phase per metre of reference range that secondary range compression adds; 0 where nothing propagates."""
     c = strip.echoes.c
-    k0 = float(strip.wavenumber(np.zeros(1))[0])
+    k0 = strip.k0
     s0 = np.sqrt(4 * k0**2 - k_u**2)
     w = 2 * np.pi * f
     if secondary == "none":
@@ -147,10 +147,16 @@ def _sinc(spectrum: npt.NDArray[np.complex128], place: FloatArray, n: int) -> np
     trace = np.pad(scipy.fft.ifft(spectrum)[:n], _HALF_WIDTH)
     inside = (place >= 0) & (place <= n - 1)
     cell = np.floor(np.where(inside, place, 0.0)).astype(np.intp)
+    share = place - cell
+    # sines of the sums share - lag are made of those of share: sinc(t) sinc(t/w), sin(pi t) = (-1)^lag sin(pi share)
+    slow_sine, slow_cosine = np.sin(np.pi * share / _HALF_WIDTH), np.cos(np.pi * share / _HALF_WIDTH)
     total = np.zeros(place.size, dtype=np.complex128)
     for lag in range(1 - _HALF_WIDTH, _HALF_WIDTH + 1):
-        t = place - cell - lag
-        total += trace[cell + lag + _HALF_WIDTH] * np.sinc(t) * np.sinc(t / _HALF_WIDTH)
+        angle = np.pi * lag / _HALF_WIDTH
+        window = (1 - 2 * (lag % 2)) * (slow_sine * np.cos(angle) - slow_cosine * np.sin(angle))
+        total += trace[cell + lag + _HALF_WIDTH] * (window / np.where(share == lag, 1.0, share - lag) ** 2)
+    total *= np.sin(np.pi * share) * _HALF_WIDTH / np.pi**2
+    total = np.where(share == 0, trace[cell + _HALF_WIDTH], total)
     return np.where(inside, total, 0.0)
 
 

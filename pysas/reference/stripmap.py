@@ -65,6 +65,11 @@ class Strip:
         """First and last slant range of the record, m."""
         return self.echoes.swath
 
+    @property
+    def k0(self) -> float:
+        """One-way wavenumber at fc, rad/m."""
+        return 2 * np.pi * self.echoes.fc / self.echoes.c
+
     def wavenumber(self, f: FloatArray) -> FloatArray:
         """One-way wavenumber k, rad/m, at base-band frequencies `f`, Hz."""
         return 2 * np.pi * (self.echoes.fc + f) / self.echoes.c
@@ -139,9 +144,10 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     lowest = 4 * np.pi * (echoes.fc - min(echoes.fs, echoes.occupied_bandwidth) / 2) / echoes.c
     sine = (abs(centre) + band / 2) / lowest if lowest > 0 else 1.0
     cosine = float(np.sqrt(max(1 - sine**2, 0.0)))
-    tangent = sine / cosine if cosine > 0 else np.inf
     # what the widest processed beam of the farthest range spreads must not wrap round onto the other end
-    spread = min(len(data), int(np.ceil(min(echoes.swath[1] * tangent / step, 1e9))))
+    spread = len(data)
+    if cosine > 0:
+        spread = int(np.ceil(min(max(echoes.swath[1], 0.0) * sine / cosine / step, spread)))
     n = int(scipy.fft.next_fast_len(len(data) + spread))
     k_u = 2 * np.pi * np.fft.fftfreq(n, step)
     k_u = k_u + sampled * np.rint((centre - k_u) / sampled)
@@ -215,4 +221,10 @@ def matched_filter(echoes: Echoes, f: FloatArray, name: str = "echoes") -> Compl
 
 def even_ranges(near: float, far: float, step: float) -> FloatArray:
     """Slant ranges from `near` to `far`, m."""
-    return near + step * np.arange(int(np.floor((far - near) / step * (1 + 1e-12))) + 1)
+    count = int(np.floor((far - near) / step * (1 + 1e-12))) + 1
+    return near + step * np.arange(count, dtype=np.float64)
+
+
+def frequencies(samples: int, fs: float) -> FloatArray:
+    """Base-band frequencies of an FFT over at least `samples` samples, in its order, Hz."""
+    return np.asarray(scipy.fft.fftfreq(int(scipy.fft.next_fast_len(samples)), 1 / fs), dtype=np.float64)
