@@ -97,45 +97,186 @@ def response(image, offset):
     return describe(cuts, peak, (place[0], place[1] - R0 - offset))
 
 
-def table(extent, threads):
-    """Rows (name, offset, loss, ratio of widths, PSLR, error in position) for one extent."""
-    offsets = EXTENTS[extent]
-    raw = survey(offsets)
+def table(raw, offsets, threads):
+    """The exact sum's responses by offset, and for each algorithm its own with loss (dB) and ratios of widths, or a refusal."""
     echoes = pysas.compress(raw, threads=threads)
     exact = {offset: exact_response(echoes, offset) for offset in offsets}
-    rows, unit = [], None
+    found, unit = {}, None
     for name, call in algorithms(raw, threads).items():
         try:
             image = call()
         except ValueError as error:
-            rows.append((name, str(error)))
+            found[name] = str(error)
             continue
-        for offset in offsets:
-            found, true = response(image, offset), exact[offset]
-            level = found["peak"] / true["peak"] * np.sqrt((R0 + offset) / R0)
+        found[name] = {offset: response(image, offset) for offset in offsets}
+        for offset, r in found[name].items():
+            level = r["peak"] / exact[offset]["peak"] * np.sqrt((R0 + offset) / R0)
             unit = level if unit is None else unit
-            widths = [a / b for a, b in zip(found["irw"], true["irw"], strict=True)]
-            rows.append((name, offset, 20 * np.log10(level / unit), widths, found["pslr"], found["place"]))
-    return exact, rows
+            r["loss"] = 20 * np.log10(level / unit)
+            r["ratio"] = [a / b for a, b in zip(r["irw"], exact[offset]["irw"], strict=True)]
+    return exact, found
+
+
+def pair(values, form):
+    return " / ".join(format(value, form) for value in values)
 
 
 def show(extent, threads):
-    exact, rows = table(extent, threads)
-    print(f"\n{extent}: IRW as a ratio to the exact sum's, along-track / range\n")
-    print("| algorithm | offset, m | loss, dB | IRW | PSLR, dB | position, mm |\n|---|---|---|---|---|---|")
+    """Print one line for each algorithm: the worse of the two signs of an offset; shapes at the largest offset."""
+    offsets = EXTENTS[extent]
+    exact, found = table(survey(offsets), offsets, threads)
+    sizes = sorted({abs(offset) for offset in offsets})
+    far = sizes[-1]
+    print(f"\n{extent}. Exact sum: IRW, cm, and PSLR, dB, along-track / range\n")
+    print("| offset, m | IRW | PSLR |\n|---|---|---|")
     for offset, r in exact.items():
-        print(
-            f"| exact sum | {offset:+d} | | {100 * r['irw'][0]:.2f} cm / {100 * r['irw'][1]:.2f} cm "
-            f"| {r['pslr'][0]:.1f} / {r['pslr'][1]:.1f} | |"
-        )
-    for name, *row in rows:
-        if len(row) == 1:
-            print(f"| {name} | refused: {row[0]} | | | | |")
+        print(f"| {offset:+d} | {pair([100 * w for w in r['irw']], '.2f')} | {pair(r['pslr'], '.1f')} |")
+    print(f"\nLoss, dB, by offset; at {far} m: ratio of IRW, PSLR, dB, along-track / range, and error of the peak in range\n")
+    print(f"| algorithm | {' | '.join(f'±{s} m' if s else '0' for s in sizes)} | IRW | PSLR | range, mm |")
+    print("|---" * (len(sizes) + 4) + "|")
+    for name, responses in found.items():
+        if isinstance(responses, str):
+            print(f"| {name} | refused: {responses} |")
             continue
-        offset, loss, widths, pslr, place = row
-        print(
-            f"| {name} | {offset:+d} | {loss:.2f} | {widths[0]:.2f} / {widths[1]:.2f} | {pslr[0]:.1f} / {pslr[1]:.1f} "
-            f"| {1e3 * place[0]:.1f} / {1e3 * place[1]:.1f} |",
-            flush=True,
-        )
-    return rows
+        worst = [min(r["loss"] for offset, r in responses.items() if abs(offset) == size) + 0.0 for size in sizes]
+        end = responses[far]
+        shape = f"{pair(end['ratio'], '.2f')} | {pair(end['pslr'], '.1f')} | {1e3 * end['place'][1]:+.1f}"
+        print(f"| {name} | {' | '.join(f'{loss:.2f}' for loss in worst)} | {shape} |", flush=True)
+    return found
+
+
+def figure(path, found, threads):
+    """Loss against offset, and the target 15 m from the reference range as each algorithm shows it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    offsets = EXTENTS["30 m"]
+    raw = survey(offsets)
+    plot = Figure(figsize=(11, 6.4), layout="constrained")
+    FigureCanvasAgg(plot)
+    upper, lower = plot.subfigures(2, 1)
+    shown = {
+        "omega-k, sinc, zp 2": "o-", "omega-k, linear, zp 1": "v-", "omega-k, linear, zp 2": "s-",
+        "omega-k, linear, zp 8": ".-", "chirp scaling": "D-", "chirp scaling, second order": "x:", "range-Doppler, no SRC": "+:",
+    }  # fmt: skip
+    for ax, extent in zip(upper.subplots(1, 2), EXTENTS, strict=True):
+        for name, style in shown.items():
+            points = sorted((offset, r["loss"]) for offset, r in found[extent][name].items())
+            ax.plot(*zip(*points, strict=True), style, label=name, ms=4, lw=1)
+        ax.set(xlabel="range from the reference range (100 m), m", ylabel="peak loss, dB", title=f"targets over {extent}")
+        ax.set_ylim(-7.5, 0.5)
+        ax.grid(alpha=0.3)
+    upper.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside right upper")
+    made = algorithms(raw, threads)
+    names = ("omega-k, linear, zp 2", "chirp scaling", "chirp scaling, second order", "range-Doppler, no SRC")
+    x = STEP * np.arange(-16, 17)
+    exact, _ = pysas.reference.exact(
+        pysas.compress(raw, threads=threads), pysas.Grid.plane(x, R0 + 15 + SPACING * np.arange(-20, 21))
+    )
+    patches = {"exact sum": exact / np.abs(exact).max()}
+    for name in names:
+        image = made[name]()
+        px, y = image.grid.axes["x"], image.grid.axes["y"]
+        rows, columns = np.abs(y - R0 - 15) < 20.5 * SPACING, np.abs(px) < 16.5 * STEP
+        patches[name] = image.data[np.ix_(rows, columns)] / found["30 m"][name][0]["peak"]
+    for ax, (name, patch) in zip(lower.subplots(1, len(patches), sharey=True), patches.items(), strict=True):
+        level = 20 * np.log10(np.abs(patch) + 1e-9)
+        extent = (x[0], x[-1], 15 - 20 * SPACING, 15 + 20 * SPACING)
+        drawn = ax.imshow(level, extent=extent, origin="lower", vmin=-40, vmax=0, cmap="inferno", interpolation="nearest")
+        ax.set_title(name.replace(", second", ",\nsecond").replace(", no", ",\nno").replace(", zp", ",\nzp"), fontsize=9)
+        ax.set_aspect("auto")
+        ax.set_xlabel("along-track, m")
+    lower.axes[0].set_ylabel("range from 100 m, m")
+    lower.colorbar(drawn, ax=lower.axes, label="dB")
+    plot.savefig(path, dpi=90)
+
+
+def timed(call, repeats=3):
+    """The result and the median of seconds after a first call, which compiles."""
+    call()
+    seconds = []
+    for _ in range(repeats):
+        clock = time.perf_counter()
+        result = call()
+        seconds.append(time.perf_counter() - clock)
+    return result, float(np.median(seconds))
+
+
+def error_on_targets(image, echoes, fitted):
+    """Relative L2 error on random pixels about the targets; `fitted`: after the sqrt(range) law and one factor."""
+    x, y = image.grid.axes["x"], image.grid.axes["y"]
+    rows = np.flatnonzero(np.min(np.abs(y[:, None] - R0 - np.array(EXTENTS["30 m"])), axis=1) < 0.15)
+    columns = np.flatnonzero(np.abs(x) < 0.4)
+    chosen = (rows[:, None] * x.size + columns).ravel()
+    chosen = np.random.default_rng(0).choice(chosen, min(700, chosen.size), replace=False)
+    exact, level = pysas.reference.exact(echoes, image.grid, chosen)
+    data = image.data.ravel()[chosen].astype(complex)
+    if not fitted:
+        return pysas.metrics.relative_error(data, exact, level)
+    data *= np.sqrt(y[chosen // x.size])
+    return pysas.metrics.relative_error(data * (np.vdot(data, exact) / np.vdot(data, data)), exact)
+
+
+def speed(threads):
+    """Every algorithm and both engines on the scene of 30 m: seconds, and error about the targets."""
+    raw = survey(EXTENTS["30 m"])
+    echoes = pysas.compress(raw, threads=threads)
+    calls = algorithms(raw, threads)
+    weighted = partial(pysas.reference.omega_k, echoes, reference_range=R0, weight="backprojection", threads=threads)
+    grid = calls["range-Doppler"]().grid
+    chosen = {
+        "omega-k, sinc, zp 2, weight of back-projection": (weighted, False),
+        **{name: (call, True) for name, call in calls.items()},
+        "backproject, tol 1e-3": (partial(pysas.backproject, echoes, grid, tol=1e-3, threads=threads), False),
+        "ffbp, tol 1e-3": (partial(pysas.ffbp, echoes, grid, tol=1e-3, threads=threads), False),
+    }
+    print(f"\n{raw.n_ping} pings x {raw.n_sample} samples, complex64, {threads} threads")
+    print("\n| algorithm | pixels | seconds | error | factor fitted |\n|---|---|---|---|---|")
+    for name, (call, fitted) in chosen.items():
+        image, seconds = timed(call)
+        error = error_on_targets(image, echoes, fitted)
+        shape = " x ".join(map(str, image.data.shape))
+        print(f"| {name} | {shape} | {seconds:.2f} | {error:.1e} | {'yes' if fitted else 'no'} |", flush=True)
+    points = pysas.Grid.plane(STEP * np.arange(-5, 6), R0 + SPACING * np.arange(-5, 6))
+    image, seconds = timed(lambda: pysas.reference.correlation(raw, points), 1)
+    exact, level = pysas.reference.exact(echoes, points)
+    error = pysas.metrics.relative_error(image.data, exact, level)
+    print(f"| correlation (slow oracle) | 11 x 11 | {seconds:.2f} | {error:.1e} | no |")
+    square(threads)
+
+
+def square(threads, n=2048):
+    """An n x n omega-k: seconds and peak memory."""
+    rng = np.random.default_rng(0)
+    data = rng.standard_normal((n, 2 * n), dtype=np.float32).view(np.complex64)
+    u = STEP * np.arange(n)
+    tx = np.stack([u, 0 * u, 0 * u], axis=1)
+    echoes = pysas.Echoes(data, fs=FS, fc=FC, tx=tx, rx=tx, c=C, t0=0.1, bandwidth=BAND)
+    print(f"\nomega-k of {n} pings x {n} samples, complex64, zero padding 2, {threads} threads")
+    print("\n| interpolation | seconds | peak memory / data |\n|---|---|---|")
+    for interpolation in ("sinc", "linear"):
+        call = partial(pysas.reference.omega_k, echoes, interpolation=interpolation, threads=threads)
+        _, seconds = timed(call)
+        tracemalloc.start()
+        call()
+        peak = tracemalloc.get_traced_memory()[1] / data.nbytes
+        tracemalloc.stop()
+        print(f"| {interpolation} | {seconds:.2f} | {peak:.1f} |")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--figure", metavar="FILE")
+    parser.add_argument("--speed", action="store_true")
+    parser.add_argument("--threads", type=int)
+    args = parser.parse_args()
+    if args.speed:
+        speed(args.threads or 2)
+        return
+    found = {extent: show(extent, args.threads) for extent in EXTENTS}
+    if args.figure:
+        figure(args.figure, found, args.threads)
+
+
+if __name__ == "__main__":
+    main()
