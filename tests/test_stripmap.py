@@ -388,6 +388,33 @@ def test_range_doppler_and_chirp_scaling_of_odd_lengths():
         assert place == pytest.approx((0.0, R0), abs=1e-3) and peak > 1
 
 
+def test_squinted_range_doppler_and_chirp_scaling():
+    # 15 degrees, Q = 4.5: expanded about the beam's axis no longer, still focused at the reference range
+    look = np.radians(15)
+    boresight = (np.sin(look), np.cos(look), 0.0)
+    element = pysas.simulation.Element(0.1, boresight=boresight, along=(np.cos(look), -np.sin(look), 0.0))
+    tx = np.stack([even(800), np.zeros(800), np.zeros(800)], axis=1)
+    raw = pysas.simulate(
+        [[5.01, 25.0, 0.0]], [1.0], pysas.LFM(90e3, -20e3, 4e-3, "tukey", 0.2), tx=tx, rx=tx, fs=40e3, duration=16e-3, t0=28e-3,
+        tx_element=element, rx_element=element, threads=1, dtype=np.complex128,
+    )  # fmt: skip
+    raw = raw.replace(beam=pysas.Beam(boresight, 0.1, np.pi))
+    ideal = np.abs(omega_k(raw, reference_range=25.0, threads=1).data).max()
+    for image in (range_doppler(raw, reference_range=25.0, threads=1), chirp_scaling(raw, reference_range=25.0, threads=1)):
+        assert pysas.metrics.peak_position(image) == pytest.approx((5.01, 25.0), abs=1e-3)
+        assert 20 * np.log10(np.abs(image.data).max() / ideal) == pytest.approx(0, abs=0.3)
+    # what second order alone leaves moves the peak by millimetres
+    second = chirp_scaling(raw, reference_range=25.0, higher_order=False, threads=1)
+    assert 3e-3 < pysas.metrics.peak_position(second)[1] - 25.0 < 1e-2
+
+
+def test_range_doppler_of_a_record_around_transmission():
+    echoes = scenes.smooth(((0.0, 3.0),), even(120, 0.015), near=-1.5, samples=300)
+    image = range_doppler(echoes, along_bandwidth=200.0, reference_range=3.0, threads=1)
+    assert np.isfinite(image.data).all()
+    assert pysas.metrics.peak_position(image) == pytest.approx((0.0, 3.0), abs=2e-3)
+
+
 # Correlation
 
 
