@@ -16,16 +16,6 @@ namespace {
 
 double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(pi * x) / (pi * x); }
 
-// Modified Bessel function I0 by its power series, which converges for all arguments used here.
-double bessel(double x) {
-    double term = 1, sum = 1;
-    for (int k = 1; k < 500 && term > 1e-17 * sum; ++k) {
-        term *= (x / (2 * k)) * (x / (2 * k));
-        sum += term;
-    }
-    return sum;
-}
-
 double low_pass_at(double f) {
     const double low = 1 / 2.2, edge = (std::abs(f) - low) / (0.5 - low);
     if (edge <= 0) return 1;
@@ -116,6 +106,16 @@ Filter make(double band, int degree, int phases, int step, int taps, bool low_pa
 }
 
 }  // namespace
+
+// By its power series, which converges for all arguments used here.
+double bessel(double x) {
+    double term = 1, sum = 1;
+    for (int k = 1; k < 500 && term > 1e-17 * sum; ++k) {
+        term *= (x / (2 * k)) * (x / (2 * k));
+        sum += term;
+    }
+    return sum;
+}
 
 Filter design(double band, int degree, int phases, int step, double error, int least, int most, bool low_pass) {
     // what the polynomials lack cannot be mended by more taps: stop where they gain nothing

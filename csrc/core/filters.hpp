@@ -6,6 +6,9 @@
 
 namespace pysas {
 
+// Modified Bessel function I0 of a window's shape.
+double bessel(double x);
+
 // Interval k = phases m + phase of the over-sampled axis begins at sample k step / phases. Its polynomial in the
 // position t in [-1/2, 1/2] from the middle has the coefficients sum over taps of weight[(phase taps + tap) (degree +
 // 1) + q] times the sample step m + first[phase] + tap.
