@@ -38,7 +38,7 @@ PROGRESS = ctypes.CFUNCTYPE(ctypes.c_int, f64, pointer)
 class Options(ctypes.Structure):
     _fields_ = [
         ("struct_size", ctypes.c_size_t), ("tol", f64), ("dtype", ctypes.c_int32), ("threads", ctypes.c_int32),
-        ("isa", ctypes.c_char_p), ("progress", PROGRESS), ("user", pointer),
+        ("isa", ctypes.c_char_p), ("progress", PROGRESS), ("user", pointer), ("method", ctypes.c_int32),
     ]  # fmt: skip
 
 
@@ -49,6 +49,8 @@ def library():
     found.pysas_plan_execute.argtypes = [pointer] * 5
     found.pysas_plan_destroy.argtypes = [pointer]
     found.pysas_plan_destroy.restype = None
+    found.pysas_plan_factorised_share.argtypes = [pointer]
+    found.pysas_plan_factorised_share.restype = f64
     return found
 
 

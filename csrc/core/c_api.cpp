@@ -1,4 +1,6 @@
 // The C ABI: arguments checked for null and size here, for meaning in plan.cpp; every exception becomes a code.
+#include <cstddef>
+#include <cstring>
 #include <new>
 
 #include "core/errors.hpp"
@@ -10,6 +12,16 @@ struct pysas_plan {
 };
 
 namespace {
+
+// Sizes of pysas_options that callers may have: the first had no method.
+constexpr std::size_t options_sizes[] = {offsetof(pysas_options, method), sizeof(pysas_options)};
+
+bool known(std::size_t size) {
+    for (const std::size_t one : options_sizes) {
+        if (size == one) return true;
+    }
+    return false;
+}
 
 template <typename F>
 int guarded(F body) noexcept {
@@ -36,11 +48,12 @@ int pysas_plan_create(const pysas_survey* survey, const pysas_grid* grid, const 
     if (!plan) return PYSAS_ERROR_ARGUMENT;
     *plan = nullptr;
     if (!survey || !grid || !options) return PYSAS_ERROR_ARGUMENT;
-    if (survey->struct_size != sizeof *survey || grid->struct_size != sizeof *grid ||
-        options->struct_size != sizeof *options) {
+    if (survey->struct_size != sizeof *survey || grid->struct_size != sizeof *grid || !known(options->struct_size)) {
         return PYSAS_ERROR_STRUCT;
     }
-    return guarded([&] { *plan = new pysas_plan{pysas::Plan(*survey, *grid, *options)}; });
+    pysas_options all{};  // what an older caller's struct does not have is zero
+    std::memcpy(&all, options, options->struct_size);
+    return guarded([&] { *plan = new pysas_plan{pysas::Plan(*survey, *grid, all)}; });
 }
 
 int pysas_plan_execute(const pysas_plan* plan, const void* data, const int64_t data_stride[3], void* image,
@@ -48,6 +61,8 @@ int pysas_plan_execute(const pysas_plan* plan, const void* data, const int64_t d
     if (!plan || !data || !image) return PYSAS_ERROR_ARGUMENT;
     return guarded([&] { plan->plan.execute(data, data_stride, image, image_stride); });
 }
+
+double pysas_plan_factorised_share(const pysas_plan* plan) { return plan ? plan->plan.factorised_share() : 0; }
 
 void pysas_plan_destroy(pysas_plan* plan) { delete plan; }
 

@@ -54,6 +54,15 @@ double fit(std::vector<double>& out, int count, const std::function<double(doubl
 
 }  // namespace
 
+double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine) {
+    const auto root = [](double q) { return std::sqrt(q); };
+    const double s =
+        fit(sine, terms, [&](double q) { return q > 0 ? std::sin(2 * pi * root(q)) / root(q) : 2 * pi; }, root);
+    const double c =
+        fit(cosine, terms + 1, [&](double q) { return std::cos(2 * pi * root(q)); }, [](double) { return 1.0; });
+    return std::max(s, c);
+}
+
 Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options)
     : pings_(survey.n_ping),
       channels_(survey.n_channel),
@@ -63,6 +72,7 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     check(survey, grid, options);
     single_ = options.dtype == PYSAS_COMPLEX64;
     narrow_ = single_ || options.tol >= 1e-5 * (1 - 1e-9);
+    tol_ = options.tol;
     const unsigned all = std::thread::hardware_concurrency();
     threads_ = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(all));
     const char* wanted = options.isa ? options.isa : std::getenv("PYSAS_ISA");
@@ -80,7 +90,14 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     model_.last = static_cast<double>(samples_ - 1);
     model_.cos_beam = survey.boresight && survey.beam_half_angle < pi ? std::cos(survey.beam_half_angle) : -1.0;
     place(survey, grid);
-    choose(options.tol);
+    if (options.method == PYSAS_FFBP) plant(options.tol);
+    if (forest_) return;
+    const Shares shares{0.1, 0.6};
+    choose_delay(options.tol, shares);
+    if (traces_.empty()) return;
+    if (!choose_filter(options.tol, shares,
+                       {{1, 1}, {3, 2}, {2, 1}, {5, 2}, {3, 1}, {4, 1}, {5, 1}, {6, 1}, {8, 1}, {11, 1}, {16, 1}}))
+        throw Error(Code::tolerance, "tol: pixels need samples too near a record's ends");
 }
 
 void Plan::check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) const {
@@ -109,6 +126,7 @@ void Plan::check(const pysas_survey& survey, const pysas_grid& grid, const pysas
     for (const double* vector : {grid.first, grid.along, grid.down}) finite(vector, 3, "grid");
     finite(grid.points, 3 * height_ * width_, "points");
     if (options.dtype != PYSAS_COMPLEX64 && options.dtype != PYSAS_COMPLEX128) refuse("dtype");
+    if (options.method != PYSAS_BACKPROJECTION && options.method != PYSAS_FFBP) refuse("method");
     if (options.threads < 0 || options.threads > 4096) refuse("threads");
     const double least = options.dtype == PYSAS_COMPLEX64 ? 1e-5 : 1e-10;
     if (!(options.tol >= least * (1 - 1e-9) && options.tol <= 0.1)) throw Error(Code::tolerance, "tol: out of reach");
@@ -174,7 +192,6 @@ void Plan::place(const pysas_survey& survey, const pysas_grid& grid) {
 void Plan::bound(const double low[3], const double high[3]) {
     std::size_t kept = 0;
     nearest_ = std::numeric_limits<double>::infinity();
-    lowest_ = samples_ - 1;
     for (std::size_t i = 0; i < traces_.size(); ++i) {
         Trace& trace = traces_[i];
         double shortest = 0, longest = 0;
@@ -184,42 +201,50 @@ void Plan::bound(const double low[3], const double high[3]) {
                 inside[axis] = std::clamp(sensor[axis], low[axis], high[axis]);
                 far[axis] = sensor[axis] - low[axis] > high[axis] - sensor[axis] ? low[axis] : high[axis];
             }
-            const double least = distance(sensor, inside);
+            const double least = distance(sensor, inside), most = distance(sensor, far);
             nearest_ = std::min(nearest_, least);
+            farthest_ = std::max(farthest_, most);
             shortest += least;
-            longest += distance(sensor, far);
+            longest += most;
         }
         const double zero[3] = {0, 0, 0}, speed = distance(trace.velocity, zero);
         const double begin = std::floor((shortest / (model_.c + speed) - trace.t0) * model_.fs);
         const double end = std::ceil((longest / (model_.c - speed) - trace.t0) * model_.fs);
         if (!(end >= 0 && begin <= model_.last)) continue;
-        const auto a = static_cast<std::int64_t>(std::max(begin, 0.0)),
-                   b = static_cast<std::int64_t>(std::min(end, model_.last));
-        lowest_ = std::min(lowest_, a);
-        highest_ = std::max(highest_, b);
-        length_ = std::max(length_, b - a + 4);
-        trace.crop = static_cast<double>(a - 1);
+        asked_.push_back(static_cast<std::int64_t>(std::max(begin, 0.0)));
+        until_.push_back(static_cast<std::int64_t>(std::min(end, model_.last)));
         traces_[kept] = trace;
         order_[kept] = order_[i];
         if (!weights_.empty()) weights_[kept] = weights_[i];
-        start_.push_back(a - 1);
         ++kept;
     }
     traces_.resize(kept);
     order_.resize(kept);
     if (!weights_.empty()) weights_.resize(kept);
+    keep();
 }
 
-void Plan::choose(double tol) {
-    // shares of tol: interpolation 0.6, each of the others at most 0.1
+// Keep of every trace what is asked of it.
+void Plan::keep() {
+    lowest_ = samples_ - 1;
+    highest_ = 0;
+    length_ = 1;
+    start_.clear();
+    for (std::size_t i = 0; i < traces_.size(); ++i) {
+        lowest_ = std::min(lowest_, asked_[i]);
+        highest_ = std::max(highest_, until_[i]);
+        length_ = std::max(length_, until_[i] - asked_[i] + 4);
+        traces_[i].crop = static_cast<double>(asked_[i] - 1);
+        start_.push_back(asked_[i] - 1);
+    }
+}
+
+// Blocks, delay polynomials, sine and cosine; false where float offsets would not keep their share even in the shortest
+// block.
+bool Plan::choose_delay(double tol, const Shares& shares) {
     const double share = 0.1 * tol, eps = narrow_ ? 0x1p-24 : 0x1p-53;
     for (const int terms : {narrow_ ? 5 : 8, narrow_ ? 6 : 10}) {
-        const auto root = [](double q) { return std::sqrt(q); };
-        const double s =
-            fit(sine_, terms, [&](double q) { return q > 0 ? std::sin(2 * pi * root(q)) / root(q) : 2 * pi; }, root);
-        const double c =
-            fit(cosine_, terms + 1, [&](double q) { return std::cos(2 * pi * root(q)); }, [](double) { return 1.0; });
-        if (std::max(s, c) <= share / 2) break;
+        if (fit_trigonometry(terms, sine_, cosine_) <= share / 2) break;
     }
     nodes_.count = narrow_ ? 5 : 7;
     const int n = nodes_.count;
@@ -233,44 +258,50 @@ void Plan::choose(double tol) {
     }
     model_.near = std::numeric_limits<double>::infinity();
     const double wave = model_.fc / model_.c;
+    bool found = false;
     for (const int size : {64, 48, 32, 16, 8}) {  // the bounds of pysas/planner.py, _choose_delay
         count_ = size;
         const double half = step_ * (size - 1) / 2, turns = 2 * half * wave;
-        if (pi * turns * eps + 4 * eps > share) continue;
+        if (pi * turns * eps + 4 * eps > shares.rounding * tol) continue;
+        found = true;
         const double wrong = 2 * pi * wave * 2 * 1.3 * (2.0 / (2 * n - 1)) * std::pow(half, n) / std::pow(2.0, n - 1);
         model_.near = std::max(2 * half, std::pow(wrong / share, 1.0 / (n - 1)));
         if (model_.near <= nearest_) break;
     }
     if (!first_.empty() && std::isinf(model_.near)) model_.near = 1e300;
     if (!points_.empty()) count_ = block;
-    if (traces_.empty()) return;
+    return found;
+}
+
+// The cheapest filter for tables of one of the rates; false where none keeps its share.
+bool Plan::choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates) {
     // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of pysas/planner.py
-    const auto away = static_cast<std::int64_t>(3.5 * std::pow(share, -0.4)) + 8;
+    const auto away = static_cast<std::int64_t>(3.5 * std::pow(0.1 * tol, -0.4)) + 8;
     const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
-    constexpr int rates[][2] = {{1, 1}, {3, 2}, {2, 1}, {5, 2},  {3, 1}, {4, 1},
-                                {5, 1}, {6, 1}, {8, 1}, {11, 1}, {16, 1}};
+    const double most = shares.interpolation * tol;
     int least = 8, longest = 400;
     if (ends) {
         // how long W's response must be hardly depends on the polynomials: ask once, with ones that are no limit
-        least = longest = design(band_, narrow_ ? 7 : 9, 2, 1, 0.3 * tol, 64, 2048, true).taps;
+        least = longest = design(band_, narrow_ ? 7 : 9, 2, 1, most / 2, 64, 2048, true).taps;
     }
     double cheapest = std::numeric_limits<double>::infinity();
     const std::vector<int> degrees = narrow_ ? std::vector<int>{1, 2, 3, 4, 5, 7} : std::vector<int>{3, 5, 7, 9};
     for (const int degree : degrees) {
         for (const auto& rate : rates) {
-            const double theta = pi * (ends ? 0.5 : band_) * rate[1] / rate[0];
-            if (std::pow(theta, degree + 1) / std::tgamma(degree + 2.0) / std::pow(2.0, degree) > 0.9 * tol) continue;
-            const double cost = (degree + 7) * (1 + 0.05 * rate[0] / rate[1]);
+            const double theta = pi * (ends ? 0.5 : band_) * rate.second / rate.first;
+            // a polynomial's own error, before any filter is made
+            if (std::pow(theta, degree + 1) / std::tgamma(degree + 2.0) / std::pow(2.0, degree) > 1.5 * most) continue;
+            const double cost = (degree + 7) * (1 + 0.05 * rate.first / rate.second);
             if (cost >= cheapest) break;
-            Filter filter = design(band_, degree, rate[0], rate[1], 0.6 * tol, least, longest, ends);
-            if (filter.error > 0.6 * tol) continue;
+            Filter filter = design(band_, degree, rate.first, rate.second, most, least, longest, ends);
+            if (filter.error > most) continue;
             cheapest = cost;
             filter_ = std::move(filter);
             break;
         }
     }
-    if (filter_.taps == 0) throw Error(Code::tolerance, "tol: pixels need samples too near a record's ends");
     model_.rate = filter_.rate();
+    return filter_.taps != 0;
 }
 
 void Plan::execute(const void* data, const std::int64_t* data_stride, void* image,
@@ -309,22 +340,9 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
         scale *= std::ldexp(1.0, exponent);
     }
 
-    const std::int64_t stride = plane_stride(intervals_of(length_, filter_.rate()), filter_.degree, sizeof(Real));
-    const std::int64_t planes = 2 * (filter_.degree + 1);
-    const auto all = static_cast<std::int64_t>(traces_.size());
-    const std::int64_t batch =
-        std::min(all, std::max<std::int64_t>(
-                          8, (std::int64_t{24} << 20) / (planes * stride * static_cast<std::int64_t>(sizeof(Real)))));
-    std::vector<Real> table(static_cast<std::size_t>(batch * planes * stride));
-    Terms<Real> terms{
-        table.data(), planes * stride, stride, filter_.degree, static_cast<int>(sine_.size()), {}, {}, nullptr, 0,
-        model_,       kind_,           nodes_};
-    std::copy(sine_.begin(), sine_.end(), terms.sine);
-    std::copy(cosine_.begin(), cosine_.end(), terms.cosine);
-    const bool straight = points_.empty();
     View<Sample, 2> lines = to;
     std::vector<Sample> list;
-    if (!straight) {  // a list of points is one line
+    if (!points_.empty()) {  // a list of points is one line
         lines.shape[0] = 1;
         lines.shape[1] = height_ * width_;
         if (to.stride[0] == width_ * to.stride[1]) {
@@ -335,30 +353,13 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
             lines = {list.data(), {1, lines.shape[1]}, {lines.shape[1], 1}};
         }
     }
-    const Frame frame{straight ? first_.data() : nullptr,
-                      straight ? along_.data() : nullptr,
-                      straight ? nullptr : points_.data(),
-                      mask_.empty() ? nullptr : mask_.data(),
-                      lines.shape[0],
-                      lines.shape[1],
-                      count_};
-    for (std::int64_t begin = 0; begin < all; begin += batch) {
-        const std::int64_t count = std::min(batch, all - begin);
-        const Tick tick = [&](double share) {
-            const double done = static_cast<double>(begin) + share * static_cast<double>(count);
-            return !progress_ || progress_(done / static_cast<double>(all));
-        };
-        const Batch<Sample> traces{from,
-                                   order_.data() + begin,
-                                   start_.data() + begin,
-                                   weights_.empty() ? nullptr : weights_.data() + begin,
-                                   count,
-                                   length_,
-                                   scale};
-        prepare(*kernels_, traces, filter_, table.data(), stride, threads_, {});
-        terms.traces = traces_.data() + begin;
-        terms.n_trace = count;
-        add(*kernels_, terms, frame, lines, threads_, tick);
+    if constexpr (sizeof(Real) == 4) {
+        if (forest_)
+            sum_forest(from, lines, scale);
+        else
+            sum_directly<Real>(from, lines, scale);
+    } else {
+        sum_directly<Real>(from, lines, scale);
     }
     using value = typename Sample::value_type;
     for (std::int64_t i = 0; i < height_; ++i) {
@@ -371,6 +372,71 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
         }
     }
     if (progress_ && !progress_(1)) throw Error(Code::cancelled, "stopped by the caller");
+}
+
+std::int64_t Plan::stride(std::size_t real) const {
+    return plane_stride(intervals_of(length_, filter_.rate()), filter_.degree, real);
+}
+
+// Traces whose tables are kept at a time: 24 MB of them.
+std::int64_t Plan::batch(std::size_t real) const {
+    const std::int64_t row = 2 * (filter_.degree + 1) * stride(real) * static_cast<std::int64_t>(real);
+    return std::max<std::int64_t>(8, (std::int64_t{24} << 20) / row);
+}
+
+// What all batches share: everything but tables and traces.
+template <typename Real>
+Terms<Real> Plan::terms() const {
+    Terms<Real> out{};
+    out.plane_stride = stride(sizeof(Real));
+    out.trace_stride = 2 * (filter_.degree + 1) * out.plane_stride;
+    out.degree = filter_.degree;
+    out.trig = static_cast<int>(sine_.size());
+    std::copy(sine_.begin(), sine_.end(), out.sine);
+    std::copy(cosine_.begin(), cosine_.end(), out.cosine);
+    out.model = model_;
+    out.kind = kind_;
+    out.nodes = nodes_;
+    return out;
+}
+
+template Terms<float> Plan::terms() const;
+
+Frame Plan::lines() const {
+    const bool straight = points_.empty();
+    return {straight ? first_.data() : nullptr,
+            straight ? along_.data() : nullptr,
+            straight ? nullptr : points_.data(),
+            mask_.empty() ? nullptr : mask_.data(),
+            straight ? height_ : 1,
+            straight ? width_ : height_ * width_,
+            count_};
+}
+
+template <typename Real, typename Sample>
+void Plan::sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const {
+    const auto all = static_cast<std::int64_t>(traces_.size()), most = std::min(all, batch(sizeof(Real)));
+    Terms<Real> terms = this->terms<Real>();
+    std::vector<Real> table(static_cast<std::size_t>(most * terms.trace_stride));
+    terms.table = table.data();
+    for (std::int64_t begin = 0; begin < all; begin += most) {
+        const std::int64_t count = std::min(most, all - begin);
+        const Tick tick = [&](double share) {
+            const double done = static_cast<double>(begin) + share * static_cast<double>(count);
+            return !progress_ || progress_(done / static_cast<double>(all));
+        };
+        const Batch<Sample> traces{from,
+                                   order_.data() + begin,
+                                   start_.data() + begin,
+                                   weights_.empty() ? nullptr : weights_.data() + begin,
+                                   count,
+                                   length_,
+                                   scale};
+        prepare(*kernels_, traces, filter_, table.data(), terms.plane_stride, threads_, {});
+        terms.traces = traces_.data() + begin;
+        terms.n_trace = count;
+        add(*kernels_, terms, lines(), to, threads_, tick);
+    }
 }
 
 }  // namespace pysas

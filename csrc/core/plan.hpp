@@ -1,13 +1,16 @@
 // A plan for callers without Python: the same bounds as pysas/planner.py, whose choices are cheaper but not more
-// accurate.
+// accurate. The tree of fast factorised back-projection is in plan_tree.cpp.
 #pragma once
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/filters.hpp"
+#include "core/forest.hpp"
 #include "core/kernels.hpp"
 #include "core/summation.hpp"
 #include "pysas.h"
@@ -22,18 +25,39 @@ class Plan {
     void execute(const void* data, const std::int64_t* data_stride, void* image,
                  const std::int64_t* image_stride) const;
 
+    // Of the terms, those that go through trees.
+    double factorised_share() const { return forest_ ? forest_->share : 0; }
+
   private:
+    // Of a tolerance: for float offsets in a block, and for the samples' interpolation.
+    struct Shares {
+        double rounding, interpolation;
+    };
+
     void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) const;
     void place(const pysas_survey& survey, const pysas_grid& grid);
     void bound(const double low[3], const double high[3]);
-    void choose(double tol);
+    void keep();
+    void plant(double tol);
+    bool choose_delay(double tol, const Shares& shares);
+    bool choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates);
 
     template <typename Real, typename Sample>
     void sum(const void* data, const std::int64_t* data_stride, void* image, const std::int64_t* image_stride) const;
+    template <typename Real, typename Sample>
+    void sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const;
+    template <typename Sample>
+    void sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const;
+    template <typename Real>
+    Terms<Real> terms() const;
+    Frame lines() const;
+    std::int64_t batch(std::size_t real) const;
+    std::int64_t stride(std::size_t real) const;
 
     std::int64_t pings_, channels_, samples_, height_, width_;
     bool single_, narrow_;  // float samples and image; float arithmetic
     int threads_;
+    double tol_;
     const Kernels* kernels_;
     std::function<bool(double)> progress_;
     Model model_{};
@@ -41,8 +65,9 @@ class Plan {
     double band_ = 0;     // half the bandwidth, cycles per sample
     double step_ = 0;     // pixel spacing along a line, m
     double nearest_ = 0;  // least distance of a pixel from a transmitter or receiver, m
+    double farthest_ = 0;
     std::vector<Trace> traces_;
-    std::vector<std::int64_t> order_, start_;
+    std::vector<std::int64_t> order_, start_, asked_, until_;  // samples asked of each trace: first and last
     std::vector<std::complex<double>> weights_;
     std::vector<double> first_, along_, points_;
     std::vector<std::uint8_t> mask_;
@@ -51,6 +76,10 @@ class Plan {
     int count_ = block;
     std::vector<double> sine_, cosine_;
     std::int64_t length_ = 1, lowest_ = 0, highest_ = 0;
+    std::optional<Forest> forest_;
 };
+
+// Coefficients in turns^2 of sin(2 pi t)/t (`terms`) and cos(2 pi t) (one more) on |t| <= 1/2, and their error.
+double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine);
 
 }  // namespace pysas

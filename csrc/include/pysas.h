@@ -1,4 +1,5 @@
-/* pysas from C: synthetic aperture sonar images by back-projection, with a relative error that the caller states.
+/* pysas from C: synthetic aperture sonar images by back-projection, direct or fast factorised, with a relative error
+ * that the caller states.
  *
  * Every function returns 0 or one of the codes below; none throws, exits or prints. Structs begin with their size, so
  * that a library newer than its caller knows which fields the caller has: set struct_size = sizeof(the struct) and zero
@@ -43,6 +44,14 @@ enum {
 
 enum { PYSAS_COMPLEX64 = 0, PYSAS_COMPLEX128 = 1 };
 
+enum {
+    PYSAS_BACKPROJECTION = 0, /* every term of the sum by itself */
+    PYSAS_FFBP = 1            /* through a tree of sub-apertures (fast factorised back-projection), within the same tol:
+                               * faster for large images. Summed directly: pixels near the track or across the ends of
+                               * records or beams; all of an image that is a list of points or does not lie on a
+                               * horizontal plane (z = constant), and with tol below 3e-5 */
+};
+
 typedef struct pysas_survey {
     size_t struct_size;
     int64_t n_ping, n_channel, n_sample;
@@ -77,6 +86,8 @@ typedef struct pysas_options {
     int (*progress)(double share,
                     void* user); /* called now and then from the calling thread; not 0 stops. May be NULL */
     void* user;
+    int32_t
+        method; /* PYSAS_BACKPROJECTION or PYSAS_FFBP. Callers whose struct ends before it are accepted: the former */
 } pysas_options;
 
 typedef struct pysas_plan pysas_plan;
@@ -89,6 +100,9 @@ PYSAS_API int pysas_plan_create(const pysas_survey* survey, const pysas_grid* gr
  */
 PYSAS_API int pysas_plan_execute(const pysas_plan* plan, const void* data, const int64_t data_stride[3], void* image,
                                  const int64_t image_stride[2]);
+
+/* Share of the terms that go through trees: 0 of a direct sum, and of a null plan. */
+PYSAS_API double pysas_plan_factorised_share(const pysas_plan* plan);
 
 PYSAS_API void pysas_plan_destroy(pysas_plan* plan);
 

@@ -1,0 +1,240 @@
+#include "core/layouts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <cstring>
+#include <iterator>
+#include <limits>
+#include <vector>
+
+#include "core/polynomials.hpp"
+
+namespace pysas {
+namespace {
+
+// taps, their rate and the half length of their filter, cheapest first
+struct Choice {
+    int count;
+    double rate;
+    int half;
+};
+constexpr Choice choices[] = {{6, 1.2, 8},  {6, 1.3, 8},   {6, 1.4, 8},  {6, 1.45, 8}, {6, 1.5, 8},
+                              {8, 1.4, 10}, {8, 1.45, 10}, {8, 1.5, 10}, {8, 1.6, 10}, {8, 1.75, 10}};
+constexpr double spare = 1.05;  // sampling beyond the band's own limit, which a short group's band overlaps a little
+const std::vector<std::vector<int>> fans = {{},        {2},       {4},          {4, 2},      {4, 4},
+                                            {4, 4, 2}, {4, 4, 4}, {4, 4, 4, 2}, {4, 4, 4, 4}};
+
+// ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
+// two with what each tap adds.
+struct Costs {
+    const char* isa;
+    double term, node, merge[2], read[2];
+};
+constexpr Costs costs[] = {{"avx512", 0.75, 5.0, {2.0, 0.6}, {7.0, 0.8}},
+                           {"avx2", 1.3, 6.0, {1.5, 1.1}, {9.0, 1.2}},
+                           {"baseline", 3.5, 20.0, {10.0, 4.0}, {10.0, 20.0}}};
+
+// A stage's error of a component depends on where between nodes it is read, and stages read at unrelated places: they
+// add as squares. Along rays the band's worst frequency counts, across them the mean over a group's pings. 1.2 is the
+// margin of the tolerance sweep.
+double tree_error(const TapDesign& taps, std::size_t stages) {
+    return 1.2 * std::sqrt(static_cast<double>(stages)) * std::hypot(taps.worst, taps.rms);
+}
+
+// Slant range from which the delay polynomials of a leaf's rays hold, for leaves of an extent at most `height` up.
+//
+// Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where
+// x/r has the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r.
+// Polynomials through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both
+// ways.
+class Clearance {
+  public:
+    Clearance(const Geometry& geometry, double height, double tol) : geometry_(geometry), height_(height), tol_(tol) {
+        for (std::int64_t i = 0; i < geometry.count; ++i)
+            apart_ = std::max(apart_, length(point(geometry.traces[i].tx) - point(geometry.traces[i].rx)));
+        double a = 0.5;
+        for (int k = 1; k < 400; ++k) {
+            const double even = 2.0 * k;
+            series_.push_back(a * even * (even + 1) * (even + 2) * (even + 3) * (even + 4));
+            a *= (k - 0.5) / (k + 1);
+        }
+    }
+
+    double operator()(double extent, double rate) const {
+        const Model& model = geometry_.model;
+        const double reach = extent / 2 + apart_ / 2, half = 31.5 * model.c / (4 * geometry_.half_band() * rate);
+        const auto holds = [&](double slant) {
+            const double ratio = std::max(height_, 1e-9) / slant, square = ratio * ratio;
+            double lateral = 0;
+            for (std::size_t k = series_.size(); k-- > 0;) lateral = (lateral + series_[k]) * square;
+            const double fifth =
+                reach * lateral / std::pow(slant, 5) + 120 * reach * (height_ + 2 * reach) / std::pow(slant, 6);
+            const double wrong = 2 * 2 * pi * model.fc / model.c * fifth * std::pow(half, 5) / 1920;
+            return wrong <= share_drift * tol_;
+        };
+        double low = std::max(height_, 1e-3) * (1 + 1e-6), high = 1e3 * (height_ + reach + half);
+        if (!holds(high)) return std::numeric_limits<double>::infinity();
+        if (holds(low)) return low;
+        while (high > low * 1.001) {
+            const double middle = std::sqrt(low * high);
+            (holds(middle) ? high : low) = middle;
+        }
+        return high;
+    }
+
+  private:
+    const Geometry& geometry_;
+    double height_, tol_, apart_ = 0;
+    std::vector<double> series_;
+};
+
+// What costs depend on: some of the track and some of the image, seen from above.
+class Estimate {
+  public:
+    Estimate(const Geometry& geometry, const Frame& frame, const char* isa) : geometry_(geometry), frame_(frame) {
+        for (const Costs& set : costs) {
+            if (std::strcmp(set.isa, isa) == 0) costs_ = set;
+        }
+        pixels_ = static_cast<double>(frame.height) * static_cast<double>(frame.width);
+        if (frame.mask)
+            pixels_ -= static_cast<double>(std::count(frame.mask, frame.mask + frame.height * frame.width, 0));
+        const std::int64_t apart = std::max<std::int64_t>(1, geometry.count / 256);
+        for (std::int64_t i = apart; i < geometry.count; i += apart)
+            path_ += length(above(place(i) - place(i - apart)));
+        centre_ = place(geometry.count / 2);
+        line_ = length(point(frame.step)) * static_cast<double>(frame.width);
+        // about half a thousand places
+        for (const double row : spread(0, static_cast<double>(frame.height - 1), 24)) {
+            for (const double column : spread(0, static_cast<double>(frame.width - 1), 24))
+                places_.push_back(pixel(static_cast<std::int64_t>(row), column));
+        }
+        rows_ = frame.height > 1 ? length(above(pixel(frame.height - 1, 0) - pixel(0, 0))) *
+                                       static_cast<double>(frame.height) / static_cast<double>(frame.height - 1)
+                                 : 0.01;
+    }
+
+    // Candidates for the longest groups, m: fractions of the ground distances of the image, at most the track.
+    std::vector<double> lengths() const {
+        std::vector<double> away;
+        Point low = place(0), high = low;
+        const std::int64_t apart = std::max<std::int64_t>(1, geometry_.count / 64);
+        for (std::int64_t i = 0; i < geometry_.count; ++i) {
+            const Point p = place(i);
+            low = {std::min(low.x, p.x), std::min(low.y, p.y), 0};
+            high = {std::max(high.x, p.x), std::max(high.y, p.y), 0};
+            if (i % apart != 0) continue;
+            for (const Point& pixel : places_) away.push_back(length(above(pixel - p)));
+        }
+        std::sort(away.begin(), away.end());
+        const double track = length(above(high - low));
+        std::vector<double> out;
+        for (const double distance : {away.front(), away[away.size() / 10]}) {
+            for (const double part : {0.95, 0.5, 0.25, 0.12}) {
+                const double value = std::min(distance / near_lengths * part, track + 1e-3);
+                if (value > 0 && std::find(out.begin(), out.end(), value) == out.end()) out.push_back(value);
+            }
+        }
+        return out;
+    }
+
+    // Nanoseconds of all groups on one thread, from a group in the middle of the track.
+    double operator()(const Layout& layout) const {
+        const Model& model = geometry_.model;
+        const double longest = std::min(layout.length, path_);
+        const double groups = std::max(1.0, std::ceil(path_ / layout.length));
+        double served = 0, inverse = 0, nearest = HUGE_VAL, farthest = 0;
+        std::vector<double> bearings;
+        std::complex<double> mean = 0;
+        for (const Point& p : places_) {
+            const Point away = above(p - centre_);
+            const double ground = length(away);
+            if (ground < near_lengths * longest || ground <= 0) continue;
+            served += 1 / static_cast<double>(places_.size());
+            inverse += 1 / (ground * static_cast<double>(places_.size()));
+            nearest = std::min(nearest, ground);
+            farthest = std::max(farthest, ground);
+            bearings.push_back(std::atan2(away.y, away.x));
+            mean += std::polar(1.0, bearings.back());
+        }
+        if (bearings.empty()) return std::numeric_limits<double>::infinity();
+        double left = 0, right = 0;
+        for (const double bearing : bearings) {
+            const double turn = std::remainder(bearing - std::arg(mean), 2 * pi);
+            left = std::min(left, turn);
+            right = std::max(right, turn);
+        }
+        const double span = right - left, depth = farthest - nearest;
+        const double along = rows_ * line_ * inverse / std::max(span, 1e-9);  // mean length of a ray in the image
+        const double rate = layout.taps.rate * layout.spare, reach = 2 * layout.taps.reach();
+        const double step = model.c / (4 * geometry_.half_band() * rate);
+        const double shortest = model.c / (model.fc + geometry_.half_band());
+        const auto nodes = [&](double extent) {
+            const double beam = std::min(widest_beam, shortest / (2 * rate * extent));
+            return (span / beam + reach) * (std::min(along + reach * beam * along, depth + along) / step + reach);
+        };
+        const double width = layout.taps.taps.count;
+        double extent = longest + 1e-6, parts = 1, work = 0;
+        for (const int fan : layout.fans) {
+            work += parts * nodes(extent) * fan * (costs_.merge[0] + costs_.merge[1] * width);
+            parts *= fan;
+            extent /= fan;
+        }
+        const auto traces = static_cast<double>(geometry_.count);
+        work += nodes(extent) * parts * (traces / groups / parts * costs_.term + costs_.node);
+        return groups * (work + pixels_ * served * (costs_.read[0] + costs_.read[1] * width)) +
+               traces * pixels_ * (1 - served) * costs_.term;
+    }
+
+  private:
+    static Point above(const Point& p) { return {p.x, p.y, 0}; }
+    Point place(std::int64_t trace) const { return point(geometry_.traces[trace].tx); }
+    Point pixel(std::int64_t line, double column) const {
+        return point(frame_.first + 3 * line) + column * point(frame_.step + 3 * line);
+    }
+
+    const Geometry& geometry_;
+    const Frame& frame_;
+    Costs costs_ = costs[0];
+    double pixels_ = 0, path_ = 0, line_ = 0, rows_ = 0;
+    Point centre_;
+    std::vector<Point> places_;
+};
+
+}  // namespace
+
+std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
+    const double share = share_leaves * tol;
+    double height = 0;
+    for (std::int64_t i = 0; i < geometry.count; ++i) {
+        for (const double* sensor : {geometry.traces[i].tx, geometry.traces[i].rx})
+            height = std::max(height, std::abs(sensor[2] - frame.first[2]));
+    }
+    const Estimate estimate(geometry, frame, isa);
+    const Clearance clearance(geometry, height, share);
+    const auto lengths = estimate.lengths();
+    std::vector<TapDesign> designs;
+    std::optional<Layout> best;
+    double cheapest = std::numeric_limits<double>::infinity();
+    for (const auto& parts : fans) {
+        const std::size_t stages = parts.size() + 1;
+        const TapDesign* taps = nullptr;
+        for (std::size_t i = 0; i < std::size(choices) && !taps; ++i) {
+            if (i == designs.size()) designs.push_back(design_taps(choices[i].count, choices[i].rate, choices[i].half));
+            if (tree_error(designs[i], stages) <= tol - share - 0.05 * tol) taps = &designs[i];
+        }
+        if (!taps) continue;
+        double product = 1;
+        for (const int fan : parts) product *= fan;
+        for (const double longest : lengths) {
+            const Layout layout{longest, parts, *taps, spare, clearance(longest / product, taps->rate)};
+            const double cost = estimate(layout);
+            if (cost >= cheapest) continue;
+            cheapest = cost;
+            best = layout;
+        }
+    }
+    return best;
+}
+
+}  // namespace pysas

@@ -1,0 +1,21 @@
+// How a tree of sub-apertures is cut: the cheapest layout whose error bounds keep a tolerance. The bounds are those of
+// pysas/planner.py, the costs those of pysas/layouts.py and pysas/costs.py.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+
+#include "core/subapertures.hpp"
+#include "core/summation.hpp"
+
+namespace pysas {
+
+constexpr double tree_tol = 3e-5;      // below it float32 sub-images would round too much
+constexpr double share_leaves = 0.35;  // of tol, for the sums of a tree's leaves
+constexpr double share_drift = 0.05;   // of the leaves' share: phase factors along a ray
+
+// `frame`: straight lines on a horizontal plane; `isa`: the kernels' name. Nothing if no interpolation keeps `tol`, or
+// no pixel is far enough from any group.
+std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa);
+
+}  // namespace pysas

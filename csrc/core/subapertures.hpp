@@ -1,0 +1,112 @@
+// Groups of traces and their polar grids: the geometry of fast factorised back-projection, free of choices. The same as
+// pysas/subapertures.py; see docs/ffbp.md.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/kernels.hpp"
+#include "core/points.hpp"
+#include "core/taps.hpp"
+
+namespace pysas {
+
+constexpr double near_lengths = 1.15;  // a group's centre stays this many lengths away from what is read from it
+constexpr double widest_beam = 0.1;    // between rays at most, rad
+
+// What trees are grown from: traces about the scene's centre, the ping each is of, and the record. `delay`: about what
+// passes until an echo arrives, where receivers move, else 0.
+struct Geometry {
+    const Trace* traces;
+    const std::int64_t* pings;
+    std::int64_t count;
+    Model model;
+    double band;  // half the bandwidth, cycles per sample
+    double delay;
+
+    double half_band() const { return band * model.fs; }  // Hz
+};
+
+using Numbers = std::vector<std::int64_t>;
+
+// Middles of transmitter and receiver when an echo arrives.
+std::vector<Point> phase_centres(const Geometry& geometry);
+
+// Traces of one group; the centre of their phase centres; extent along their longest axis and places on it, m.
+struct Group {
+    Numbers traces;
+    Point centre;
+    double extent = 0;
+    std::vector<double> along;
+};
+
+Group make_group(Numbers traces, const std::vector<Point>& centres);
+
+// Runs of consecutive pings of about equal path, at most `length` metres.
+std::vector<Numbers> cut_track(const Geometry& geometry, const std::vector<Point>& centres, double length);
+
+// A group's traces in `fan` stretches of equal length, empty ones left out.
+std::vector<Numbers> split(const Group& group, int fan);
+
+// Highest frequencies of a group's sub-image at the places given: cycles a radian across its rays, cycles a metre of
+// slant range along them.
+struct Bands {
+    double across, along;
+};
+Bands bands_of(const Group& group, const Geometry& geometry, double plane, const std::vector<double>& angles,
+               const std::vector<double>& grounds);
+
+struct Span {
+    double low, high;
+};
+
+// What is read from a sub-image in one place: bearings from a direction, and distances.
+struct Reading {
+    Span bearing, distance;
+};
+
+// Tiles' corners (4 for each) seen from a centre: bearings from `direction`, ground distances.
+std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, const Numbers& tiles,
+                               double& direction);
+
+// `count` places from low to high, ends included.
+std::vector<double> spread(double low, double high, int count);
+
+double slant_of(double ground, double height);
+double ground_from(double slant, double height);  // 0 where the ground is farther
+
+// The sub-images of all groups of one length, laid out as core/factorised.hpp takes them. Image i is made of what span
+// [i] to span[i + 1] number in the level below, or of traces.
+struct Level {
+    std::vector<double> place;
+    Numbers shape, span{0};
+    std::vector<std::int32_t> range;
+
+    std::int64_t count() const { return static_cast<std::int64_t>(span.size()) - 1; }
+    std::int64_t offset(std::int64_t i) const { return shape[static_cast<std::size_t>(5 * i + 3)]; }
+    // floats of a store for images [begin, end)
+    std::int64_t room(std::int64_t begin, std::int64_t end) const {
+        const std::int64_t* last = shape.data() + 5 * (end - 1);
+        return last[3] + 2 * last[1] * last[2] - offset(begin);
+    }
+};
+
+// How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
+// nodes must have, m.
+struct Layout {
+    double length;
+    std::vector<int> fans;
+    TapDesign taps;
+    double spare, clear;
+};
+
+// The tree below a group for what is read from it at bearings from `direction` and ground distances, nodes `step`
+// apart.
+struct Subtree {
+    Numbers traces;             // in the order of the leaves
+    std::vector<Level> levels;  // leaves first; none if the tree would hold more than the floats `left`
+};
+Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Point>& centres, const Layout& layout,
+              double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left);
+
+}  // namespace pysas
