@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import PLANE, SCENES, far, moving, straight
+from test_factorised import CASES, PLACES, TRACKS, answer, plane, tracked
 
 import pysas
 
@@ -79,7 +80,8 @@ def structs(echoes, grid, tol, keep, points=False):
     return survey, lines, Options(ctypes.sizeof(Options), tol, dtype, 2)
 
 
-def image(library, echoes, grid, tol, points=False, change=lambda survey, lines, options: None):
+def image(library, echoes, grid, tol, points=False, change=lambda survey, lines, options: None, shares=None):
+    """The image, or the code of an error; the factorised share is appended to `shares`."""
     keep = []
     parts = structs(echoes, grid, tol, keep, points)
     change(*parts)
@@ -87,6 +89,8 @@ def image(library, echoes, grid, tol, points=False, change=lambda survey, lines,
     code = library.pysas_plan_create(*map(ctypes.byref, parts), ctypes.byref(plan))
     if code:
         return code
+    if shares is not None:
+        shares.append(library.pysas_plan_factorised_share(plan))
     out = np.full(grid.shape, np.nan, dtype=echoes.dtype)
     data = echoes.data
     step = (i64 * 3)(*(s // data.itemsize for s in data.strides))
@@ -167,7 +171,7 @@ def test_every_isa_and_thread_count(library):
         (0, "struct_size", 8, 6), (0, "n_ping", 0, 1), (0, "n_sample", 2**62, 1), (0, "fs", float("nan"), 1), (0, "fc", -1, 1),
         (0, "c", 0, 1), (0, "bandwidth", 39e3, 1), (0, "tx", None, 1), (0, "t0", float("inf"), 1), (1, "struct_size", 0, 6),
         (1, "width", -3, 1), (1, "height", 2**60, 1), (2, "tol", 0.5, 2), (2, "tol", 1e-12, 2), (2, "tol", float("nan"), 2),
-        (2, "dtype", 7, 1), (2, "threads", -1, 1), (2, "isa", b"mmx", 1),
+        (2, "dtype", 7, 1), (2, "method", 2, 1), (2, "method", -1, 1), (2, "threads", -1, 1), (2, "isa", b"mmx", 1),
     ],
 )  # fmt: skip
 def test_bad_arguments_are_codes(library, part, field, value, code):
@@ -198,6 +202,177 @@ def test_samples_that_are_not_finite(library):
     out = np.zeros(PLANE.shape, complex)
     assert library.pysas_plan_execute(plan, data.ctypes.data, None, out.ctypes.data, None) == 7
     library.pysas_plan_destroy(plan)
+
+
+FFBP = 1
+
+
+def factorised(library, echoes, grid, tol, points=False, **options):
+    """Image and share of fast factorised back-projection, with some fields of the options set."""
+
+    def change(survey, lines, struct):
+        struct.method = FFBP
+        for name, value in options.items():
+            setattr(struct, name, value)
+
+    shares = []
+    return image(library, echoes, grid, tol, points, change, shares), shares[0]
+
+
+@pytest.mark.parametrize("name", ["straight", "prime number of pings", "moving, 6 receivers", "circular"])
+def test_ffbp_keeps_tol(library, name):
+    make, grid = CASES[name]
+    echoes = make()
+    pixels, exact, level = answer(echoes, grid)
+    for tol in (1e-1, 1e-2, 1e-3, 1e-4):
+        found, share = factorised(library, echoes, grid, tol)
+        assert share > 0.99
+        assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= tol
+        direct = image(library, echoes, grid, tol)
+        assert 0 < np.linalg.norm(found - direct) < 2 * tol * np.linalg.norm(direct)
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_ffbp_on_any_track(library, name):
+    echoes, grid = tracked(TRACKS[name]), plane(130, 100, 26.0)
+    pixels, exact, level = answer(echoes, grid)
+    for tol in (1e-2, 1e-4):
+        found, share = factorised(library, echoes, grid, tol)
+        assert share > 0.9
+        assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= tol
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_ffbp_at_any_place(library, name):
+    position, grid, near = PLACES[name]
+    echoes = tracked(position, near)
+    pixels, exact, level = answer(echoes, grid, count=500)
+    for tol in (1e-2, 1e-4):
+        found, share = factorised(library, echoes, grid, tol)
+        assert 0 <= share < 1 or name not in ("under the track", "pixels on the track", "range shorter than the aperture")
+        assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= tol
+
+
+def test_ffbp_down_to_its_least_tolerance(library):
+    """Between records' ends that are far enough off; double samples go through float trees too."""
+    echoes, grid = straight(pings=256, samples=3500).replace(t0=2 * 4.0 / 1500), plane(192, 160, 26.0)
+    pixels, exact, level = answer(echoes, grid)
+    for data in (echoes, echoes.replace(data=echoes.data.astype(np.complex64))):
+        found, share = factorised(library, data, grid, 3e-5)
+        assert share == 1 and found.dtype == data.dtype
+        assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 3e-5
+
+
+def test_ffbp_sums_directly_what_it_cannot_factorise(library):
+    make, grid = CASES["straight"]
+    echoes = make()
+
+    def tilt(survey, lines, options):
+        lines.down[2] = 0.001
+
+    shares = []
+    for tol, points, change in ((2e-5, False, None), (1e-3, True, None), (1e-3, False, tilt)):
+        found = []
+        for method in (0, FFBP):
+
+            def both(survey, lines, options, method=method, change=change):
+                options.method = method
+                if change is not None:
+                    change(survey, lines, options)
+
+            found.append(image(library, echoes, grid, tol, points, both, shares))
+        assert np.array_equal(*found)
+    assert shares == 6 * [0] and library.pysas_plan_factorised_share(None) == 0
+
+
+def test_ffbp_with_weights_mask_and_beam(library):
+    make, grid = CASES["moving, 6 receivers"]
+    echoes = make()
+    rng = np.random.default_rng(4)
+    weights = rng.standard_normal((48, 6))
+    weights[3] = 0
+    mask = np.zeros(grid.shape, bool)
+    mask[20:90, 30:170] = rng.random((70, 140)) < 0.5
+    masked = pysas.Grid.plane(grid.axes["x"], grid.axes["y"], mask=mask)
+    found, share = factorised(library, echoes, masked, 1e-3)
+    pixels, exact, level = answer(echoes, masked)
+    assert share > 0.99 and not found[~mask].any()
+    assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
+
+    def more(survey, lines, options):
+        survey.weights = weights.ctypes.data
+        options.method = FFBP
+
+    found = image(library, echoes, masked, 1e-3, change=more)
+    exact, level = pysas.reference.exact(echoes, masked, pixels, weights)
+    assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
+    boresight = np.tile(np.array([0.0, 1.0, -0.25]) / np.hypot(1, 0.25), (48, 1))
+    beam = echoes.replace(beam=pysas.Beam(boresight[0], 0.05, np.radians(9.0)))
+    shares = []
+
+    def narrow(survey, lines, options):
+        survey.boresight = boresight.ctypes.data
+        survey.beam_half_angle = np.radians(9.0)
+        options.method = FFBP
+
+    found = image(library, echoes, grid, 1e-3, change=narrow, shares=shares)
+    pixels, exact, level = answer(beam, grid)
+    assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
+
+
+def test_ffbp_on_every_isa_and_thread_count(library):
+    make, grid = CASES["moving, 6 receivers"]
+    echoes = make()
+    pixels, exact, level = answer(echoes, grid)
+    for isa in (None, b"baseline", b"avx2", b"avx512"):
+        one = image(library, echoes, grid, 1e-3, change=lambda s, g, o, name=isa: setattr(o, "isa", name))
+        if isinstance(one, int):
+            assert one == 1  # not on this machine
+            continue
+        one, share = factorised(library, echoes, grid, 1e-3, isa=isa, threads=1)
+        assert share > 0.99
+        assert pysas.metrics.relative_error(one.ravel()[pixels], exact, level) <= 1e-3
+        for threads in (2, 3, 7):
+            assert np.array_equal(factorised(library, echoes, grid, 1e-3, isa=isa, threads=threads)[0], one)
+
+
+def test_ffbp_reports_progress_and_stops(library):
+    make, grid = CASES["circular"]
+    echoes = make()
+    shares = []
+
+    @PROGRESS
+    def note(share, user):
+        shares.append(share)
+        return int(share > 0.3)
+
+    @PROGRESS
+    def listen(share, user):
+        shares.append(share)
+        return 0
+
+    found, _ = factorised(library, echoes, grid, 1e-4, progress=listen, threads=1)
+    assert isinstance(found, np.ndarray)
+    assert shares[0] == 0 and shares[-1] == 1 and len(shares) > 2 and shares == sorted(shares)
+    shares.clear()
+    assert factorised(library, echoes, grid, 1e-4, progress=note, threads=1)[0] == 4
+    assert shares == sorted(shares) and 0.3 < shares[-1] < 1
+
+
+def test_options_of_older_callers(library):
+    """The first options ended before the method: what lies behind them in memory is not looked at."""
+    make, grid = CASES["straight"]
+    echoes = make()
+    direct = image(library, echoes, grid, 1e-3)
+
+    def older(survey, lines, options):
+        options.struct_size = Options.method.offset
+        options.method = 12345
+
+    shares = []
+    assert np.array_equal(image(library, echoes, grid, 1e-3, change=older, shares=shares), direct) and shares == [0]
+    for size in (0, Options.method.offset - 8, Options.method.offset + 4, ctypes.sizeof(Options) + 8):
+        assert image(library, echoes, grid, 1e-3, change=lambda s, g, o, n=size: setattr(o, "struct_size", n)) == 6
 
 
 @pytest.mark.parametrize("make", [straight, far])

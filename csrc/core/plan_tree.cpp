@@ -199,6 +199,8 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& 
                 if (group.levels.size() > 1) climb.rise(0, b.first, b.last);
             }
             if (!pixels.empty()) add(*kernels_, terms, direct, to, threads_, between(0.5, 1));
+            // steps too short to tick by themselves still add up
+            if (!between(1, 1)(1)) throw Error(Code::cancelled, "stopped by the caller");
             done += count;
         }
         if (group.levels.empty()) continue;
