@@ -19,7 +19,7 @@ void simple_rate(double least, int& phases, int& step) {
     phases = 0;
     if (!(least <= 16)) return;
     for (int s = 1; s <= most_step; ++s) {
-        const int p = std::max(1, static_cast<int>(std::ceil(least * s * (1 - 1e-12))));
+        const int p = static_cast<int>(std::ceil(least * s * (1 - 1e-12)));
         if (phases == 0 || p * step < phases * s) {
             phases = p;
             step = s;
@@ -160,7 +160,7 @@ std::optional<Sheet> sheet_of(const Frame& frame) {
 }
 
 std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& sheets, const Layout& layout,
-                           double near, std::int64_t most) {
+                           double near, double rate, std::int64_t most) {
     const Model& model = geometry.model;
     const auto centres = phase_centres(geometry);
     const Planter planter{geometry, layout, centres, near};
@@ -190,7 +190,8 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
     }
     // and as long as a table's intervals, of which there are a simple number to a sample
     Forest out{layout.taps, 0, 0, 1, {}, {}, {}, 0};
-    simple_rate(model.c * layout.taps.rate * layout.spare * highest / model.fs, out.phases, out.per_samples);
+    simple_rate(std::max(rate, model.c * layout.taps.rate * layout.spare * highest / model.fs), out.phases,
+                out.per_samples);
     if (out.phases == 0) return {};
     out.step = model.c * out.per_samples / (2 * model.fs * out.phases);
     const auto count = static_cast<std::size_t>(geometry.count);

@@ -38,9 +38,10 @@ struct Forest {
     double share;         // of the terms that go through trees
 };
 
-// Tiles are read from slant range `near` on. Nothing if no tile can be, or if trees would hold more than `most` floats.
+// Tiles are read from slant range `near` on; nodes are as far apart as intervals of tables at `rate` times the samples'
+// or more. Nothing if no tile can be read, or if trees would hold more than `most` floats.
 std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& sheets, const Layout& layout,
-                           double near, std::int64_t most);
+                           double near, double rate, std::int64_t most);
 
 // Traces [begin, end) of a tree at a time, of leaves [first, last): about `most` traces, and whole parents where one
 // fits, since what is merged in parts is read and written again.

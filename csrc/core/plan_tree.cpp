@@ -100,16 +100,19 @@ void Plan::plant(double tol) {
     // a tree of more nodes than the sum has terms is no gain, and sub-images larger than some images no bargain
     const double pixels = static_cast<double>(height_) * static_cast<double>(width_);
     const double nodes = std::min(0x1p22 + static_cast<double>(count) * pixels, 0x1p40);
-    auto forest = grow(geometry, {*sheet}, *layout, model_.near, static_cast<std::int64_t>(2 * nodes));
-    if (!forest) return;
     const auto asked = asked_, until = until_;
-    for (std::size_t i = 0; i < traces_.size(); ++i) {
-        asked_[i] = std::min(asked_[i], forest->first[i]);
-        until_[i] = std::max(until_[i], forest->last[i]);
-    }
-    keep();
-    if (choose_filter(share, shares, {{forest->phases, forest->per_samples}}) &&
-        static_cast<double>(stores_of(*forest, batch(sizeof(float)))) < 0x1p24 + 8 * pixels) {
+    // near a record's ends tables hold all frequencies up to fs/2: the second rate is for where the first is too low
+    // for that
+    for (const double rate : {1.0, 1.5}) {
+        auto forest = grow(geometry, {*sheet}, *layout, model_.near, rate, static_cast<std::int64_t>(2 * nodes));
+        if (!forest) break;
+        for (std::size_t i = 0; i < traces_.size(); ++i) {
+            asked_[i] = std::min(asked[i], forest->first[i]);
+            until_[i] = std::max(until[i], forest->last[i]);
+        }
+        keep();
+        if (!choose_filter(share, shares, {{forest->phases, forest->per_samples}})) continue;
+        if (static_cast<double>(stores_of(*forest, batch(sizeof(float)))) > 0x1p24 + 8 * pixels) break;
         forest_ = std::move(forest);
         return;
     }

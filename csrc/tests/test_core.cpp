@@ -13,7 +13,10 @@
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
 #include "core/factorised.hpp"
+#include "core/forest.hpp"
+#include "core/layouts.hpp"
 #include "core/polynomials.hpp"
+#include "core/taps.hpp"
 #include "core/threads.hpp"
 #include "pysas.h"
 #include "tests/check.hpp"
@@ -244,6 +247,196 @@ void a_constant_goes_through_the_tree() {
     CHECK(caught);
 }
 
+// The same point through a tree: a plan of few pings and pixels still has one.
+void a_point_goes_through_a_tree() {
+    for (const bool moving : {false, true}) {
+        Scene scene(moving);
+        scene.options.method = PYSAS_FFBP;
+        const double sum = Scene::pings * (moving ? 2.1 : 2.0);
+        for (const std::string& isa : pysas::levels()) {
+            scene.options.isa = isa.c_str();
+            for (const double tol : {1e-1, 1e-2, 1e-3, 1e-4}) {
+                scene.options.tol = tol;
+                pysas_plan* plan = nullptr;
+                CHECK(pysas_plan_create(&scene.survey, &scene.grid, &scene.options, &plan) == PYSAS_OK);
+                CHECK(pysas_plan_factorised_share(plan) == 1);
+                pysas_plan_destroy(plan);
+                scene.options.threads = 1;
+                const auto image = scene.image();
+                CHECK(std::abs(image[12 * Scene::side + 12] - sum) < tol * sum);
+                scene.options.threads = 3;
+                CHECK(scene.image() == image);
+                scene.options.method = PYSAS_BACKPROJECTION;
+                const auto direct = scene.image();
+                scene.options.method = PYSAS_FFBP;
+                double apart = 0;
+                for (std::size_t i = 0; i < image.size(); ++i) apart = std::max(apart, std::abs(image[i] - direct[i]));
+                CHECK(apart > 0 && apart < tol * sum);
+            }
+        }
+        scene.options.tol = 1e-5;  // below what float trees keep
+        pysas_plan* plan = nullptr;
+        CHECK(pysas_plan_create(&scene.survey, &scene.grid, &scene.options, &plan) == PYSAS_OK);
+        CHECK(pysas_plan_factorised_share(plan) == 0);
+        pysas_plan_destroy(plan);
+    }
+}
+
+// Components of samples one node apart, filtered, then read between them: another way than the design's least squares.
+void taps_are_as_good_as_they_say() {
+    const double designs[][3] = {{6, 1.2, 8}, {6, 1.5, 8}, {8, 1.4, 10}, {8, 1.6, 10}};
+    for (const auto& d : designs) {
+        const pysas::TapDesign design = pysas::design_taps(static_cast<int>(d[0]), d[1], static_cast<int>(d[2]));
+        const pysas::Taps& taps = design.taps;
+        double worst = 0, mirrored = 0;
+        for (int i = 0; i <= 300; ++i) {
+            const double f = 0.5 / d[1] * i / 300;
+            double response = taps.filter[0];
+            for (int k = 1; k <= taps.half; ++k) response += 2 * std::cos(2 * pi * f * k) * taps.filter[k];
+            for (int j = 0; j <= 20; ++j) {
+                const double x = j / 20.0 - 0.5;
+                std::complex<double> sum = 0;
+                for (int t = 0; t < taps.count; ++t) {
+                    double weight = 0;
+                    for (int q = taps.count; q >= 0; --q) weight = weight * x + static_cast<double>(taps.tap[q][t]);
+                    sum += weight * std::polar(1.0, 2 * pi * f * (t - (taps.count - 1) / 2.0 - x));
+                    const int p = std::min(t, taps.count - 1 - t);
+                    double even = 0, odd = 0;
+                    for (int q = taps.count / 2; q >= 0; --q)
+                        even = even * x * x + static_cast<double>(taps.even[p][q]);
+                    for (int q = taps.count / 2 - 1; q >= 0; --q)
+                        odd = odd * x * x + static_cast<double>(taps.odd[p][q]);
+                    mirrored = std::max(mirrored, std::abs(even + (t == p ? odd : -odd) * x - weight));
+                }
+                worst = std::max(worst, std::abs(response * sum - 1.0));
+            }
+        }
+        CHECK(worst > 0.8 * design.worst && worst < 1.1 * design.worst);
+        CHECK(design.rms > 0.1 * design.worst && design.rms < design.worst);
+        CHECK(mirrored < 1e-6);
+    }
+}
+
+// What is wrong with a level: whether places at a bearing and a slant range have nodes on all sides that taps read.
+bool covered(const pysas::Level& level, std::size_t image, const pysas::Taps& taps, double bearing, double range) {
+    const double* place = level.place.data() + 7 * image;
+    const std::int64_t* shape = level.shape.data() + 5 * image;
+    const double width = static_cast<double>(shape[1]) * place[5];
+    double turn = bearing - place[4];
+    turn -= 2 * pi * std::floor((turn - (width - 2 * pi) / 2) / (2 * pi));
+    const auto ray = static_cast<std::int64_t>(std::floor(turn / place[5]));
+    const auto node = static_cast<std::int64_t>(std::floor(range / place[6])) - shape[0];
+    for (std::int64_t r = ray - taps.count / 2 + 1; r <= ray + taps.count / 2; ++r) {
+        if (r < taps.half || r >= shape[1] - taps.half) return false;
+        const std::int32_t* ends = level.range.data() + 2 * (shape[4] + r);
+        // of the nodes summed the filter spoils some at either end
+        if (node - taps.count / 2 + 1 < ends[0] + taps.half || node + taps.count / 2 >= ends[1] - taps.half)
+            return false;
+    }
+    return true;
+}
+
+void a_forest_holds_every_trace_and_serves_every_read() {
+    using namespace pysas;
+    std::vector<Trace> traces;
+    std::vector<std::int64_t> pings;
+    for (int ping = 0; ping < 60; ++ping) {  // a bent track with a gap, two receivers behind the transmitter
+        const double x = 0.1 * ping + (ping > 40 ? 1.5 : 0) - 3.7, y = 0.3 * std::sin(0.2 * ping);
+        for (int channel = 0; channel < 2; ++channel) {
+            traces.push_back({{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, 0, 0, 0});
+            pings.push_back(ping);
+        }
+    }
+    Geometry geometry{traces.data(), pings.data(), static_cast<std::int64_t>(traces.size()), {}, 0.375, 0};
+    geometry.model = {1500, 100e3, 40e3, 1, 2999, -1, 0};
+    std::vector<double> first, step;
+    constexpr int height = 130, width = 100;
+    for (int line = 0; line < height; ++line) {
+        first.insert(first.end(), {-1, 0.02 * line - 1.3, 0});
+        step.insert(step.end(), {0.02, 0, 0});
+    }
+    std::vector<std::uint8_t> mask(height * width, 1);
+    std::fill_n(mask.begin(), 32 * width, std::uint8_t{0});
+    const Frame frame{first.data(), step.data(), nullptr, mask.data(), height, width, 64};
+    const auto sheet = sheet_of(frame);
+    CHECK(sheet && sheet->pixels.size() == 10 && sheet->pixels[0] == 0 && sheet->pixels[9] == 2 * 36);
+    if (!sheet) return;
+    const auto layout = choose_layout(geometry, frame, 1e-3, "baseline");
+    CHECK(layout && layout->length > 0 && layout->taps.worst < 1e-3);
+    if (!layout) return;
+    for (const std::vector<int>& fans : {layout->fans, {}, {2}, {4, 2}, {4, 4, 2}}) {
+        Layout cut = *layout;
+        cut.fans = fans;
+        cut.length = 3;
+        CHECK(!grow(geometry, {*sheet}, cut, 1, 1, 1000));  // too large for so little memory
+        const auto forest = grow(geometry, {*sheet}, cut, 1, 1, std::int64_t{1} << 30);
+        CHECK(forest && forest->share == 1 && forest->trees.size() > 1);
+        if (!forest) continue;
+        // at least as dense as the echoes' own band asks, as dense as tables' intervals
+        CHECK(forest->step < 1500 / (4 * 15e3 * cut.taps.rate));
+        CHECK(std::abs(forest->step * 2 * 40e3 * forest->phases / forest->per_samples / 1500 - 1) < 1e-12);
+        std::vector<std::int64_t> seen;
+        for (const GroupTree& tree : forest->trees) {
+            seen.insert(seen.end(), tree.traces.begin(), tree.traces.end());
+            CHECK(tree.levels.size() == fans.size() + 1);
+            CHECK(tree.levels.front().span.back() == static_cast<std::int64_t>(tree.traces.size()));
+            for (std::size_t i = 1; i < tree.levels.size(); ++i)
+                CHECK(tree.levels[i].span.back() == tree.levels[i - 1].count());
+            std::int64_t traces_in = 0;
+            for (const TreeBatch& batch : batches_of(tree, 7)) {
+                CHECK(batch.begin == traces_in && batch.end > batch.begin && batch.last > batch.first);
+                traces_in = batch.end;
+            }
+            CHECK(traces_in == tree.levels.front().span.back());
+            const Level& top = tree.levels.back();
+            CHECK(top.count() == 1);
+            bool all = true;
+            const Tiling tiling(frame);
+            for (std::int64_t number = 0; number < tiling.count(); ++number) {
+                const bool wanted = sheet->pixels[static_cast<std::size_t>(number)] > 0;
+                CHECK(tree.read[static_cast<std::size_t>(number)] == wanted);
+                const Tiling::Tile tile = tiling.at(number);
+                for (std::int64_t line = tile.top; wanted && line < tile.bottom; ++line) {
+                    for (std::int64_t k = tile.left; k < tile.right; ++k) {
+                        const double x = first[static_cast<std::size_t>(3 * line)] + 0.02 * static_cast<double>(k) -
+                                         top.place[0],
+                                     y = first[static_cast<std::size_t>(3 * line + 1)] - top.place[1];
+                        all = all && covered(top, 0, cut.taps.taps, std::atan2(y, x),
+                                             std::sqrt(x * x + y * y + top.place[2] * top.place[2]));
+                    }
+                }
+            }
+            CHECK(all);
+            // and every node that a parent sums, from each child
+            for (std::size_t i = 1; i < tree.levels.size(); ++i) {
+                const Level &above = tree.levels[i], &below = tree.levels[i - 1];
+                for (std::size_t image = 0; image + 1 < above.span.size(); ++image) {
+                    const double* place = above.place.data() + 7 * image;
+                    const std::int64_t* shape = above.shape.data() + 5 * image;
+                    for (std::int64_t r = 0; r < shape[1]; ++r) {
+                        const std::int32_t* ends = above.range.data() + 2 * (shape[4] + r);
+                        const double ray = place[4] + static_cast<double>(r) * place[5];
+                        for (std::int64_t m = ends[0]; m < ends[1]; m += 5) {
+                            const double range = static_cast<double>(shape[0] + m) * place[6];
+                            const double ground = std::sqrt(range * range - place[2] * place[2]);
+                            for (std::int64_t c = above.span[image]; c < above.span[image + 1]; ++c) {
+                                const double* child = below.place.data() + 7 * c;
+                                const double x = place[0] + ground * std::cos(ray) - child[0],
+                                             y = place[1] + ground * std::sin(ray) - child[1];
+                                all = all && covered(below, static_cast<std::size_t>(c), cut.taps.taps,
+                                                     std::atan2(y, x), std::sqrt(x * x + y * y + child[2] * child[2]));
+                            }
+                        }
+                    }
+                }
+            }
+            CHECK(all);
+        }
+        std::sort(seen.begin(), seen.end());
+        CHECK(seen.size() == traces.size() && seen.front() == 0 && std::unique(seen.begin(), seen.end()) == seen.end());
+    }
+}
+
 void names_of_sets() {
     CHECK(pysas::kernels_for("auto").name == pysas::levels().back());
     bool caught = false;
@@ -263,6 +456,9 @@ int main() {
     a_point_is_imaged_at_its_place();
     threads_and_kinds_of_pixels_agree();
     a_constant_goes_through_the_tree();
+    a_point_goes_through_a_tree();
+    taps_are_as_good_as_they_say();
+    a_forest_holds_every_trace_and_serves_every_read();
     names_of_sets();
     std::printf("test_core: %s\n", failures == 0 ? "passed" : "FAILED");
     return failures == 0 ? 0 : 1;
