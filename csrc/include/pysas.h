@@ -47,9 +47,9 @@ enum { PYSAS_COMPLEX64 = 0, PYSAS_COMPLEX128 = 1 };
 enum {
     PYSAS_BACKPROJECTION = 0, /* every term of the sum by itself */
     PYSAS_FFBP = 1            /* through a tree of sub-apertures (fast factorised back-projection), within the same tol:
-                               * faster for large images. Summed directly: pixels near the track or across the ends of
-                               * records or beams; all of an image that is a list of points or does not lie on a
-                               * horizontal plane (z = constant), and with tol below 3e-5 */
+                               * faster for large images, not for small ones. Summed directly: pixels near the track or
+                               * across the ends of records or beams; all of an image that is a list of points or does
+                               * not lie on a horizontal plane (z = constant), and with tol below 3e-5 */
 };
 
 typedef struct pysas_survey {
@@ -86,8 +86,7 @@ typedef struct pysas_options {
     int (*progress)(double share,
                     void* user); /* called now and then from the calling thread; not 0 stops. May be NULL */
     void* user;
-    int32_t
-        method; /* PYSAS_BACKPROJECTION or PYSAS_FFBP. Callers whose struct ends before it are accepted: the former */
+    int32_t method; /* PYSAS_BACKPROJECTION, also for callers whose struct ends above, or PYSAS_FFBP */
 } pysas_options;
 
 typedef struct pysas_plan pysas_plan;
