@@ -31,9 +31,9 @@ struct Costs {
     const char* isa;
     double term, node, merge[2], read[2];
 };
-constexpr Costs costs[] = {{"avx512", 0.75, 5.0, {2.0, 0.6}, {7.0, 0.8}},
-                           {"avx2", 1.3, 6.0, {1.5, 1.1}, {9.0, 1.2}},
-                           {"baseline", 3.5, 20.0, {10.0, 4.0}, {10.0, 20.0}}};
+constexpr Costs costs[] = {{"avx512", 0.65, 4.0, {1.0, 0.65}, {6.0, 0.7}},
+                           {"avx2", 0.9, 4.0, {1.5, 0.6}, {6.5, 0.7}},
+                           {"baseline", 4.8, 15.0, {8.0, 1.8}, {15.0, 1.7}}};
 
 // A stage's error of a component depends on where between nodes it is read, and stages read at unrelated places: they
 // add as squares. Along rays the band's worst frequency counts, across them the mean over a group's pings. 1.2 is the

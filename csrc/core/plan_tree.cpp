@@ -209,7 +209,7 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& 
         if (group.levels.empty()) continue;
         const Level& top = group.levels.back();
         const auto image = images_of(top, 0, 1, 0, stores[group.levels.size() - 1]);
-        read(*kernels_, tree, image[0], frame, group.read.data(), to, threads_,
+        read(*kernels_, tree, image[0], frame, nullptr, group.read.data(), to, threads_,
              [&](double) { return !progress_ || progress_(static_cast<double>(done) / static_cast<double>(whole)); });
     }
 }
