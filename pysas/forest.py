@@ -242,11 +242,12 @@ def _fates(
 
 
 def grow(
-    scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float, relief: float
-) -> Forest | None:
+    scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float, relief: float,
+    compiled: bool = False,
+) -> Forest | None:  # fmt: skip
     """All trees of an image, without choices for the direct sums; None where no pixel can be read from one.
 
-    `relief` : relative error that reading pixels off their planes may cost.
+    `relief` : relative error that reading pixels off their planes may cost; `compiled` : whether C++ grows the trees.
     """
     order = np.flatnonzero(scene.heard if scene.weights is None else scene.heard & (scene.weights != 0))
     if not order.size:
@@ -296,7 +297,7 @@ def grow(
             if read.any():
                 subtree = subapertures.plant(
                     members, along, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, read, step, layout.taps,
-                    layout.spare,
+                    layout.spare, compiled,
                 )  # fmt: skip
                 _widen(wider, subtree, step)
             traces = piece if subtree is None else subtree.traces

@@ -462,11 +462,11 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     if best is None:
         return None, "no interpolation keeps tol: all terms"
     layout = cleared(best[1])
-    forest = grow(scene, frame, frame.mask, layout, near, relief)
+    forest = grow(scene, frame, frame.mask, layout, near, relief, backend == "cpp")
     # shorter groups see more as from a line, and nearer pixels from afar
     while (forest is None or (whole and forest.share < 1)) and layout.length > best[1].length / 8:
         layout = cleared(dataclasses.replace(layout, length=layout.length * 0.7))
-        forest = grow(scene, frame, frame.mask, layout, near, relief)
+        forest = grow(scene, frame, frame.mask, layout, near, relief, backend == "cpp")
     if forest is None or not any(t.read.any() for t in forest.trees):
         return None, "no pixel far enough from all groups of pings, or too steep a relief: all terms"
     choices = _choose(forest.scene, share, backend, SHARE_ROUNDING, forest.rate)

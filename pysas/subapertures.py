@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pysas._checks import FloatArray
+from pysas.engine import growth
 from pysas.engine.tree import IntArray, SubImages, Taps
 
 SLACK = 80  # columns behind a row's last node that a vector may touch
@@ -269,10 +270,14 @@ class Subtree:
 
 def plant(
     members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
-    plane: float, reads: Reads, tiles: BoolArray, step: float, taps: Taps, spare: float,
+    plane: float, reads: Reads, tiles: BoolArray, step: float, taps: Taps, spare: float, compiled: bool = False,
 ) -> Subtree:  # fmt: skip
-    """The tree below one of the longest groups, for the tiles it serves."""
+    """The tree below one of the longest groups, for the tiles it serves; `compiled` by C++, an order of magnitude faster."""
     angle, bearings, grounds = reads.seen_from(members.centre, np.flatnonzero(tiles))
+    if compiled:
+        sound = np.array([medium.c, medium.fc, medium.bandwidth])
+        readings = np.concatenate([bearings, grounds], axis=1)
+        return Subtree(*growth.plant(geometry, centres, members.traces, sound, fans, taps, spare, plane, angle, readings, step))
     slants = slant(grounds, members.centre[2] - plane)
     root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, spare)
     levels = [[root]]

@@ -16,6 +16,7 @@
 #include "core/errors.hpp"
 #include "core/factorised.hpp"
 #include "core/filters.hpp"
+#include "core/subapertures.hpp"
 #include "core/summation.hpp"
 
 namespace py = pybind11;
@@ -268,6 +269,46 @@ void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<
         call(std::complex<double>());
 }
 
+template <typename T>
+py::array_t<T> array(const std::vector<T>& values) {
+    return py::array_t<T>(static_cast<py::ssize_t>(values.size()), values.data());
+}
+
+py::tuple plant_group(const Array<double>& geometry, const Array<double>& centres, const Array<std::int64_t>& traces,
+                      const Array<double>& medium, const std::vector<int>& fans, int taps, int half, double rate,
+                      double spare, double plane, double direction, const Array<double>& readings, double step) {
+    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Point) == 3 * sizeof(double) &&
+                      sizeof(Reading) == 4 * sizeof(double),
+                  "rows of arrays are read as these structs");
+    if (geometry.ndim() != 2 || geometry.shape(1) != 15 || centres.size() != 3 * geometry.shape(0) ||
+        medium.size() != 3 || readings.ndim() != 2 || readings.shape(1) != 4 || readings.shape(0) == 0)
+        throw py::value_error("a group: rows of geometry, centres, readings");
+    Geometry survey{reinterpret_cast<const Trace*>(geometry.data()), nullptr, geometry.shape(0), {}, 0, 0};
+    survey.model.c = medium.at(0);
+    survey.model.fc = medium.at(1);
+    survey.model.fs = medium.at(2);  // the bandwidth, whose half is the band
+    survey.band = 0.5;
+    const auto* point = reinterpret_cast<const Point*>(centres.data());
+    const std::vector<Point> places(point, point + geometry.shape(0));
+    const auto* reading = reinterpret_cast<const Reading*>(readings.data());
+    std::vector<Reading> reads(reading, reading + readings.shape(0));
+    Layout layout{0, fans, {}, spare, 0};
+    layout.taps.rate = rate;
+    layout.taps.taps.count = taps;
+    layout.taps.taps.half = half;
+    Subtree grown;
+    FlatLevels flat;
+    {
+        const py::gil_scoped_release gil;
+        std::int64_t left = std::int64_t{1} << 60;
+        const Group group = make_group(Numbers(traces.data(), traces.data() + traces.size()), places);
+        grown = plant(group, survey, places, layout, plane, direction, std::move(reads), step, left);
+        flat = flatten(grown.levels);
+    }
+    return py::make_tuple(array(grown.traces), array(flat.count), array(flat.place), array(flat.shape),
+                          array(flat.range), array(flat.span));
+}
+
 std::string isa_of(const std::string& name) { return kernels_for(name).name; }
 
 void translate(std::exception_ptr pointer) {
@@ -310,6 +351,8 @@ PYBIND11_MODULE(_core, m) {
     m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a,
           "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
+    m.def("plant", &plant_group, "geometry"_a, "centres"_a, "traces"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
+          "rate"_a, "spare"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "The tree below a group of traces.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a,
           "Add a batch's terms to an image; returns how many.");

@@ -366,6 +366,18 @@ std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& co
     return out;
 }
 
+FlatLevels flatten(const std::vector<Level>& levels) {
+    FlatLevels out;
+    for (const Level& level : levels) {
+        out.place.insert(out.place.end(), level.place.begin(), level.place.end());
+        out.shape.insert(out.shape.end(), level.shape.begin(), level.shape.end());
+        out.span.insert(out.span.end(), level.span.begin(), level.span.end());
+        out.range.insert(out.range.end(), level.range.begin(), level.range.end());
+        out.count.push_back(level.count());
+    }
+    return out;
+}
+
 Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Point>& centres, const Layout& layout,
               double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left) {
     const double height = group.centre.z - plane;

@@ -106,6 +106,17 @@ struct Subtree {
     Numbers traces;             // in the order of the leaves
     std::vector<Level> levels;  // leaves first; none if the tree would hold more than the floats `left`
 };
+
+// The levels one after the other, and how many sub-images each has.
+struct FlatLevels {
+    std::vector<double> place;
+    Numbers shape, span, count;
+    std::vector<std::int32_t> range;
+};
+FlatLevels flatten(const std::vector<Level>& levels);
+
+// The tree below a group for what is read from it at bearings from `direction` and ground distances, nodes `step`
+// apart; no levels if it would hold more than the floats `left`.
 Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Point>& centres, const Layout& layout,
               double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left);
 

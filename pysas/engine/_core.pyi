@@ -147,3 +147,32 @@ def read(
     tick: Callable[[float], object] | None,
 ) -> None:
     """Add a sub-image to the `wanted` tiles of `image` (line, pixel): lines on its plane, or points near it."""
+
+def plant(
+    geometry: npt.NDArray[np.float64],
+    centres: npt.NDArray[np.float64],
+    traces: npt.NDArray[np.int64],
+    medium: npt.NDArray[np.float64],
+    fans: Sequence[int],
+    taps: int,
+    half: int,
+    rate: float,
+    spare: float,
+    plane: float,
+    direction: float,
+    readings: npt.NDArray[np.float64],
+    step: float,
+) -> tuple[
+    npt.NDArray[np.int64],
+    npt.NDArray[np.int64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.int64],
+    npt.NDArray[np.int32],
+    npt.NDArray[np.int64],
+]:
+    """The tree below a group of `traces` for `readings` (n, 4): bearings from `direction` and ground distances, lowest and
+    highest. Returns traces in the leaves' order, sub-images of each level, leaves first, and all levels' places, shapes,
+    ranges and spans.
+
+    `medium` : sound speed, carrier and bandwidth.
+    """

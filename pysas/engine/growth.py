@@ -1,0 +1,35 @@
+"""Trees below groups of traces, grown in C++: what subapertures.plant does in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pysas._checks import FloatArray
+from pysas.engine import native
+from pysas.engine.tree import PLACE, SHAPE, IntArray, SubImages, Taps
+
+
+def plant(
+    geometry: FloatArray, centres: FloatArray, traces: IntArray, medium: FloatArray, fans: Sequence[int], taps: Taps,
+    spare: float, plane: float, direction: float, readings: FloatArray, step: float,
+) -> tuple[IntArray, tuple[SubImages, ...]]:  # fmt: skip
+    """Traces in the leaves' order, and levels, leaves first, for `readings` (n, 4): bearings from `direction` and grounds.
+
+    `medium` : sound speed, carrier and bandwidth.
+    """
+    order, counts, place, shape, ranges, span = native.core().plant(
+        geometry, centres, traces, medium, fans, taps.width, taps.half, taps.rate, spare, plane, direction, readings, step
+    )
+    places, shapes, ranges = place.reshape(-1, PLACE), shape.reshape(-1, SHAPE), ranges.reshape(-1, 2)
+    levels = []
+    image = rays = ends = 0
+    for count in counts:
+        own = shapes[image : image + count]
+        more, size = int(own[:, 1].sum()), int(own[-1, 3] + 2 * own[-1, 1] * own[-1, 2])
+        levels.append(
+            SubImages(places[image : image + count], own, ranges[rays : rays + more], span[ends : ends + count + 1], size)
+        )
+        image, rays, ends = image + count, rays + more, ends + count + 1
+    return np.asarray(order), tuple(levels)
