@@ -217,26 +217,24 @@ def _fates(
         seen, beside = subapertures.onto(corners, members, plane)
         closest = np.linalg.norm(np.nan_to_num(seen[..., :2] - members.centre[:2]), axis=-1).min(axis=1)
         read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
-    some = order[:: max(1, len(order) // 32)]
-    geometry = scene.geometry[some]
+    some = scene.geometry[order[:: max(1, len(order) // 32)], None]
     places = subapertures.phase_centres(scene.geometry[order], 0.0)
     slack = float(np.max(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=0.0)) * max(1, len(order) // 32)
-    heard = np.zeros_like(active)
-    inside = np.ones_like(active)
-    for row in geometry:
-        there = np.linalg.norm(middle - row[0:3], axis=1)
-        back = np.linalg.norm(middle - row[3:6], axis=1)
-        speed = float(np.linalg.norm(row[6:9]))
-        spread = 2 * (radius + slack)
-        low = ((there + back - spread - 2 * reach) / (scene.c + speed) - row[12]) * scene.fs
-        high = ((there + back + spread + 2 * reach) / (scene.c - speed) - row[12]) * scene.fs
-        heard |= (high >= 0) & (low <= scene.n_sample - 1)
-        inside &= (low >= 0) & (high <= scene.n_sample - 1)
-        if scene.cos_beam > -1:
-            lateral = radius + slack + 6 * layout.taps.reach * subapertures.WIDEST * ground
-            cosine = np.sum((middle - row[0:3]) * row[9:12], axis=1) / np.maximum(there, 1e-9)
-            angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.minimum(1, lateral / np.maximum(there, 1e-9)))
-            inside &= (angle <= np.arccos(scene.cos_beam)) & (lateral < there)
+    # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
+    out = [middle[:, k] - some[..., k] for k in range(3)]
+    there = np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+    back = np.sqrt(sum((middle[:, k] - some[..., 3 + k]) ** 2 for k in range(3)))
+    speed = np.linalg.norm(some[..., 6:9], axis=-1)
+    spread = 2 * (radius + slack)
+    low = ((there + back - spread - 2 * reach) / (scene.c + speed) - some[..., 12]) * scene.fs
+    high = ((there + back + spread + 2 * reach) / (scene.c - speed) - some[..., 12]) * scene.fs
+    heard = np.any((high >= 0) & (low <= scene.n_sample - 1), axis=0)
+    inside = np.all((low >= 0) & (high <= scene.n_sample - 1), axis=0)
+    if scene.cos_beam > -1:
+        lateral = radius + slack + 6 * layout.taps.reach * subapertures.WIDEST * ground
+        cosine = sum(out[k] * some[..., 9 + k] for k in range(3)) / np.maximum(there, 1e-9)
+        angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.minimum(1, lateral / np.maximum(there, 1e-9)))
+        inside &= np.all((angle <= np.arccos(scene.cos_beam)) & (lateral < there), axis=0)
     read &= inside
     return read, active & heard & ~read
 
