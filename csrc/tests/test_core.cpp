@@ -274,6 +274,7 @@ void a_point_goes_through_a_tree() {
                 CHECK(apart > 0 && apart < tol * sum);
             }
         }
+        scene.options.isa = nullptr;
         scene.options.tol = 1e-5;  // below what float trees keep
         pysas_plan* plan = nullptr;
         CHECK(pysas_plan_create(&scene.survey, &scene.grid, &scene.options, &plan) == PYSAS_OK);
