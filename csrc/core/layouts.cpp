@@ -42,53 +42,6 @@ double tree_error(const TapDesign& taps, std::size_t stages) {
     return 1.2 * std::sqrt(static_cast<double>(stages)) * std::hypot(taps.worst, taps.rms);
 }
 
-// Slant range from which the delay polynomials of a leaf's rays hold, for leaves of an extent at most `height` up.
-//
-// Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where
-// x/r has the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r.
-// Polynomials through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both
-// ways.
-class Clearance {
-  public:
-    Clearance(const Geometry& geometry, double height, double tol) : geometry_(geometry), height_(height), tol_(tol) {
-        for (std::int64_t i = 0; i < geometry.count; ++i)
-            apart_ = std::max(apart_, length(point(geometry.traces[i].tx) - point(geometry.traces[i].rx)));
-        double a = 0.5;
-        for (int k = 1; k < 400; ++k) {
-            const double even = 2.0 * k;
-            series_.push_back(a * even * (even + 1) * (even + 2) * (even + 3) * (even + 4));
-            a *= (k - 0.5) / (k + 1);
-        }
-    }
-
-    double operator()(double extent, double rate) const {
-        const Model& model = geometry_.model;
-        const double reach = extent / 2 + apart_ / 2, half = 31.5 * model.c / (4 * geometry_.half_band() * rate);
-        const auto holds = [&](double slant) {
-            const double ratio = std::max(height_, 1e-9) / slant, square = ratio * ratio;
-            double lateral = 0;
-            for (std::size_t k = series_.size(); k-- > 0;) lateral = (lateral + series_[k]) * square;
-            const double fifth =
-                reach * lateral / std::pow(slant, 5) + 120 * reach * (height_ + 2 * reach) / std::pow(slant, 6);
-            const double wrong = 2 * 2 * pi * model.fc / model.c * fifth * std::pow(half, 5) / 1920;
-            return wrong <= share_drift * tol_;
-        };
-        double low = std::max(height_, 1e-3) * (1 + 1e-6), high = 1e3 * (height_ + reach + half);
-        if (!holds(high)) return std::numeric_limits<double>::infinity();
-        if (holds(low)) return low;
-        while (high > low * 1.001) {
-            const double middle = std::sqrt(low * high);
-            (holds(middle) ? high : low) = middle;
-        }
-        return high;
-    }
-
-  private:
-    const Geometry& geometry_;
-    double height_, tol_, apart_ = 0;
-    std::vector<double> series_;
-};
-
 // What costs depend on: some of the track and some of the image, seen from above.
 class Estimate {
   public:
@@ -203,15 +156,49 @@ class Estimate {
 
 }  // namespace
 
-std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
-    const double share = share_leaves * tol;
-    double height = 0;
+// Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where
+// x/r has the components sqrt(1 - (h/r)^2) = 1 - sum a_k (h/r)^2k along the ground, a_k > 0, and h/r, at a height h.
+// Polynomials through 5 Chebyshev nodes of |s| <= half are wrong by at most half^5/(5! 2^4) of the fifth derivative, on
+// both ways.
+double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol) {
+    const Model& model = geometry.model;
+    double height = 0, apart = 0, extent = layout.length;
     for (std::int64_t i = 0; i < geometry.count; ++i) {
-        for (const double* sensor : {geometry.traces[i].tx, geometry.traces[i].rx})
-            height = std::max(height, std::abs(sensor[2] - frame.first[2]));
+        const Point tx = point(geometry.traces[i].tx), rx = point(geometry.traces[i].rx);
+        height = std::max(height, std::max(std::abs(tx.z - frame.first[2]), std::abs(rx.z - frame.first[2])));
+        apart = std::max(apart, length(tx - rx));
     }
+    for (const int fan : layout.fans) extent /= fan;
+    const double reach = extent / 2 + apart / 2;
+    const double half = 31.5 * model.c / (4 * geometry.half_band() * layout.taps.rate);
+    std::vector<double> series;
+    double a = 0.5;
+    for (int k = 1; k < 400; ++k) {
+        const double even = 2.0 * k;
+        series.push_back(a * even * (even + 1) * (even + 2) * (even + 3) * (even + 4));
+        a *= (k - 0.5) / (k + 1);
+    }
+    const auto holds = [&](double slant) {
+        const double ratio = std::max(height, 1e-9) / slant, square = ratio * ratio;
+        double lateral = 0;
+        for (std::size_t k = series.size(); k-- > 0;) lateral = (lateral + series[k]) * square;
+        const double fifth =
+            reach * lateral / std::pow(slant, 5) + 120 * reach * (height + 2 * reach) / std::pow(slant, 6);
+        const double wrong = 2 * 2 * pi * model.fc / model.c * fifth * std::pow(half, 5) / 1920;
+        return wrong <= share_drift * share_leaves * tol;
+    };
+    double low = std::max(height, 1e-3) * (1 + 1e-6), high = 1e3 * (height + reach + half);
+    if (!holds(high)) return std::numeric_limits<double>::infinity();
+    if (holds(low)) return low;
+    while (high > low * 1.001) {
+        const double middle = std::sqrt(low * high);
+        (holds(middle) ? high : low) = middle;
+    }
+    return high;
+}
+
+std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
     const Estimate estimate(geometry, frame, isa);
-    const Clearance clearance(geometry, height, share);
     const auto lengths = estimate.lengths();
     std::vector<TapDesign> designs;
     std::optional<Layout> best;
@@ -221,13 +208,11 @@ std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame
         const TapDesign* taps = nullptr;
         for (std::size_t i = 0; i < std::size(choices) && !taps; ++i) {
             if (i == designs.size()) designs.push_back(design_taps(choices[i].count, choices[i].rate, choices[i].half));
-            if (tree_error(designs[i], stages) <= tol - share - 0.05 * tol) taps = &designs[i];
+            if (tree_error(designs[i], stages) <= (1 - share_leaves - 0.05) * tol) taps = &designs[i];
         }
         if (!taps) continue;
-        double product = 1;
-        for (const int fan : parts) product *= fan;
         for (const double longest : lengths) {
-            const Layout layout{longest, parts, *taps, spare, clearance(longest / product, taps->rate)};
+            const Layout layout{longest, parts, *taps, spare, 0};
             const double cost = estimate(layout);
             if (cost >= cheapest) continue;
             cheapest = cost;

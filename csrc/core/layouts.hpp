@@ -15,7 +15,10 @@ constexpr double share_leaves = 0.35;  // of tol, for the sums of a tree's leave
 constexpr double share_drift = 0.05;   // of the leaves' share: phase factors along a ray
 
 // `frame`: straight lines on a horizontal plane; `isa`: the kernels' name. Nothing if no interpolation keeps `tol`, or
-// no pixel is far enough from any group.
+// no pixel is far enough from any group. What it must be clear of is left open.
 std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa);
+
+// Slant range from which the delay polynomials of the leaves' rays hold.
+double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol);
 
 }  // namespace pysas

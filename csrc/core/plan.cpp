@@ -93,7 +93,7 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     if (options.method == PYSAS_FFBP) plant(options.tol);
     if (forest_) return;
     const Shares shares{0.1, 0.6};
-    choose_delay(options.tol, shares);
+    choose_delay(options.tol, shares, nearest_);
     if (traces_.empty()) return;
     if (!choose_filter(options.tol, shares,
                        {{1, 1}, {3, 2}, {2, 1}, {5, 2}, {3, 1}, {4, 1}, {5, 1}, {6, 1}, {8, 1}, {11, 1}, {16, 1}}))
@@ -241,7 +241,7 @@ void Plan::keep() {
 
 // Blocks, delay polynomials, sine and cosine; false where float offsets would not keep their share even in the shortest
 // block.
-bool Plan::choose_delay(double tol, const Shares& shares) {
+bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
     const double share = 0.1 * tol, eps = narrow_ ? 0x1p-24 : 0x1p-53;
     for (const int terms : {narrow_ ? 5 : 8, narrow_ ? 6 : 10}) {
         if (fit_trigonometry(terms, sine_, cosine_) <= share / 2) break;
@@ -266,7 +266,7 @@ bool Plan::choose_delay(double tol, const Shares& shares) {
         found = true;
         const double wrong = 2 * pi * wave * 2 * 1.3 * (2.0 / (2 * n - 1)) * std::pow(half, n) / std::pow(2.0, n - 1);
         model_.near = std::max(2 * half, std::pow(wrong / share, 1.0 / (n - 1)));
-        if (model_.near <= nearest_) break;
+        if (model_.near <= nearest) break;
     }
     if (!first_.empty() && std::isinf(model_.near)) model_.near = 1e300;
     if (!points_.empty()) count_ = block;

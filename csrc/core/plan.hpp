@@ -33,13 +33,16 @@ class Plan {
     struct Shares {
         double rounding, interpolation;
     };
+    // of the leaves' share; with delay polynomials (0.1), sine and cosine (0.05) and the drift (0.05): 0.95
+    static constexpr Shares tree_shares{0.4, 0.35};
 
     void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) const;
     void place(const pysas_survey& survey, const pysas_grid& grid);
     void bound(const double low[3], const double high[3]);
     void keep();
     void plant(double tol);
-    bool choose_delay(double tol, const Shares& shares);
+    bool use(const Forest& forest, double tol);
+    bool choose_delay(double tol, const Shares& shares, double nearest);
     bool choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates);
 
     template <typename Real, typename Sample>

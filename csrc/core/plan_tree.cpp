@@ -83,10 +83,8 @@ std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
 // Grow trees where they keep `tol`; otherwise the plan is left as it was, for the direct sum.
 void Plan::plant(double tol) {
     if (!narrow_ || !points_.empty() || traces_.empty() || tol < tree_tol * (1 - 1e-9)) return;
-    const double share = share_leaves * tol;
-    // with delay polynomials (0.1), sine and cosine (0.05) and the drift: 0.95 of the leaves' share
-    const Shares shares{0.4, 0.35};
-    if (!choose_delay(share, shares)) return;
+    // tiles count by the spheres about them, which reach nearer than their pixels
+    if (!choose_delay(share_leaves * tol, tree_shares, 0.9 * nearest_)) return;
     const Frame frame = lines();
     const auto sheet = sheet_of(frame);
     if (!sheet) return;
@@ -95,31 +93,45 @@ void Plan::plant(double tol) {
     const double delay = kind_ == Kind::moving ? (nearest_ + farthest_) / model_.c : 0.0;
     const auto count = static_cast<std::int64_t>(traces_.size());
     const Geometry geometry{traces_.data(), pings.data(), count, model_, band_, delay};
-    const auto layout = choose_layout(geometry, frame, tol, kernels_->name);
+    auto layout = choose_layout(geometry, frame, tol, kernels_->name);
     if (!layout) return;
-    // a tree of more nodes than the sum has terms is no gain, and sub-images larger than some images no bargain
-    const double pixels = static_cast<double>(height_) * static_cast<double>(width_);
-    const double nodes = std::min(0x1p22 + static_cast<double>(count) * pixels, 0x1p40);
-    const auto asked = asked_, until = until_;
+    // a tree of more nodes than the sum has terms is no gain
+    const double terms = static_cast<double>(count) * static_cast<double>(height_) * static_cast<double>(width_);
+    const auto most = static_cast<std::int64_t>(2 * std::min(0x1p22 + terms, 0x1p40));
     // near a record's ends tables hold all frequencies up to fs/2: the second rate is for where the first is too low
     // for that
     for (const double rate : {1.0, 1.5}) {
-        auto forest = grow(geometry, {*sheet}, *layout, model_.near, rate, static_cast<std::int64_t>(2 * nodes));
-        if (!forest) break;
-        for (std::size_t i = 0; i < traces_.size(); ++i) {
-            asked_[i] = std::min(asked[i], forest->first[i]);
-            until_[i] = std::max(until[i], forest->last[i]);
+        std::optional<Forest> forest;
+        for (Layout cut = *layout; !forest && cut.length > layout->length / 8; cut.length *= 0.7) {
+            cut.clear = clearance(geometry, frame, cut, tol);  // shorter groups see nearer pixels from afar
+            forest = grow(geometry, {*sheet}, cut, model_.near, rate, most);
         }
-        keep();
-        if (!choose_filter(share, shares, {{forest->phases, forest->per_samples}})) continue;
-        if (static_cast<double>(stores_of(*forest, batch(sizeof(float)))) > 0x1p24 + 8 * pixels) break;
-        forest_ = std::move(forest);
-        return;
+        if (!forest) return;
+        if (use(*forest, tol)) {
+            forest_ = std::move(forest);
+            return;
+        }
     }
+}
+
+// Choose the filter of a forest's tables; false, and the plan as it was, where none keeps `tol` or sub-images are
+// larger than some images.
+bool Plan::use(const Forest& forest, double tol) {
+    const auto asked = asked_, until = until_;
+    for (std::size_t i = 0; i < traces_.size(); ++i) {
+        asked_[i] = std::min(asked[i], forest.first[i]);
+        until_[i] = std::max(until[i], forest.last[i]);
+    }
+    keep();
+    const double pixels = static_cast<double>(height_) * static_cast<double>(width_);
+    if (choose_filter(share_leaves * tol, tree_shares, {{forest.phases, forest.per_samples}}) &&
+        static_cast<double>(stores_of(forest, batch(sizeof(float)))) < 0x1p24 + 8 * pixels)
+        return true;
     asked_ = asked;
     until_ = until;
     filter_ = {};
     keep();
+    return false;
 }
 
 template <typename Sample>
