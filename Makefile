@@ -4,6 +4,7 @@ PYTHON ?= python
 CSRC = $(shell find csrc -name '*.[ch]pp' -o -name '*.h' -o -name '*.inl')
 CLANGXX ?= clang++
 FUZZ_SECONDS ?= 60
+JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 comma = ,
 
 .PHONY: build test lint types sanitize tsan fuzz bench bench-quick
@@ -22,13 +23,13 @@ lint:
 types:
 	mypy --strict pysas
 
-# the core and its kernels for the sets $(4), compiled with $(1) into build/$(2), and the program of source $(3)
+# the core and its kernels for the sets $(4), compiled with $(1) into build/$(2), and the program of source $(3), linked with $(5)
 define core_program
 	mkdir -p build/$(2)
-	for set in $(4); do \
-		$(1) $(STRICT) $$(cat csrc/isa/$$set.flags 2>/dev/null) -c csrc/isa/$$set.cpp -o build/$(2)/$$set.o & pids="$$pids $$!"; \
-	done; for pid in $$pids; do wait $$pid || exit 1; done
-	$(1) $(STRICT) $(if $(findstring avx2,$(4)),-DPYSAS_HAVE_AVX2) $(if $(findstring avx512,$(4)),-DPYSAS_HAVE_AVX512) csrc/tests/$(3).cpp csrc/core/*.cpp build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
+	{ for set in $(4); do echo csrc/isa/$$set.cpp; done; ls csrc/core/*.cpp csrc/tests/$(3).cpp; } | xargs -P $(JOBS) -I{} sh -c ' \
+		name=$$(basename {} .cpp); exec $(1) $(STRICT) $(if $(findstring avx2,$(4)),-DPYSAS_HAVE_AVX2) \
+		$(if $(findstring avx512,$(4)),-DPYSAS_HAVE_AVX512) $$(cat csrc/isa/$$name.flags 2>/dev/null) -c {} -o build/$(2)/$$name.o'
+	$(1) build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
 endef
 STRICT = -std=c++17 -g -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra -Werror -Icsrc -Icsrc/include
 
@@ -37,7 +38,7 @@ sanitize:
 	$(CXX) $(STRICT) -O1 -Wpedantic -Wconversion -fsanitize=address,undefined -fno-sanitize-recover=all \
 		csrc/tests/test_cpu.cpp csrc/core/cpu.cpp -o build/sanitize/test_cpu
 	build/sanitize/test_cpu
-	$(call core_program,$(CXX) -O1 -fsanitize=address$(comma)undefined -fno-sanitize-recover=all,sanitize,test_core,baseline avx2 avx512)
+	$(call core_program,$(CXX) -O0 -fsanitize=address$(comma)undefined -fno-sanitize-recover=all,sanitize,test_core,baseline avx2 avx512)
 	build/sanitize/test_core
 
 tsan:

@@ -91,7 +91,7 @@ def case(request):
     return echoes, grid, answer(echoes, grid)
 
 
-@pytest.mark.parametrize("tol", [1e-1, 1e-2, 1e-3, 1e-4, 3e-5])
+@pytest.mark.parametrize("tol", [1e-1, 1e-3, 3e-5])
 def test_keeps_tol_through_the_tree_alone(case, tol, engine):
     echoes, grid, right = case
     image = pysas.ffbp(echoes, grid, tol, fallback=False)
@@ -240,7 +240,7 @@ RELIEFS = {
 
 
 @pytest.mark.parametrize("name", RELIEFS)
-@pytest.mark.parametrize("tol", [1e-2, 1e-4])
+@pytest.mark.parametrize("tol", [1e-3])
 def test_relief_is_read_from_a_stack_of_planes(name, tol, engine):
     """Pixels on no plane, over a swaying array: each at its own height."""
     echoes, grid = CASES["moving, 6 receivers"][0](), RELIEFS[name]
