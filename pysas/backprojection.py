@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, engine, factorised, planner, plans
+from pysas import _checks, bounds, engine, factorised, planner, plans
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
@@ -28,7 +28,7 @@ def backproject(
     tol: float = 1e-3,
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | str | None = None,
     nan: str = "raise",
     out: ComplexArray | None = None,
     progress: Callable[[float], None] | None = None,
@@ -47,8 +47,10 @@ def backproject(
     threads : int, optional
         Worker threads; default PYSAS_NUM_THREADS, else all processors. The image is the same for any number.
     backend : {"auto", "numba", "cpp"}
-    weights : (ping,) or (ping, channel) array_like, optional
-        Real or complex factors of the terms; 0 leaves a trace out.
+    weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
+        Real or complex factors of the terms; 0 leaves a trace out. "uniform-angle": each term weighs what
+        `pysas.circular.view_weights` says, the arc of view angles that it stands for, so that the point spread function
+        is the same all over the image; a small part of `tol` is theirs, and a note tells where they need more.
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     out : complex array of grid.shape, optional
@@ -90,7 +92,7 @@ def backproject_arrays(
     t0: Any = 0.0,
     velocity: Any = None,
     bandwidth: float | None = None,
-    weights: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | str | None = None,
     tol: float = 1e-3,
     threads: int | None = None,
     backend: str = "auto",
@@ -157,6 +159,8 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     notes = [] if scene.heard.any() else [scene.why_silent()]
     if plan.why_direct:
         notes.append(f"summed directly: {plan.why_direct}")
+    if scene.lattice is not None and not scene.lattice.kept:
+        notes.append(f"view-angle weights are within {scene.lattice.error:.2g} of their arcs, which change fast here")
 
     cpp = plan.backend == "cpp"
     peaks = (native.peaks if cpp else summation.peaks)(samples, plan.threads)
@@ -182,13 +186,13 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     isa = engine.isa(plan.backend)
     if order.size:
         frame, reader = plan.frame, plan.reader
-        trigonometry = planner.trigonometry(choices.trigonometry)[0]
+        trigonometry = bounds.trigonometry(choices.trigonometry)[0]
         flat = _as_lines(image, frame.shape)
         target = np.zeros(frame.shape, dtype=plan.dtype) if flat is None else flat
         real = np.dtype(choices.precision)
         if plan.forest is not None:
             totals = factorised.accumulate(
-                plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, planner.trigonometry(6)[0], target,
+                plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
                 isa, progress,
             )  # fmt: skip
         elif cpp:
@@ -238,7 +242,9 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
     model = np.array([scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near])
-    return Survey(geometry, start, None if scene.weights is None else scene.weights[order], scene.kind, model)
+    weights = None if scene.weights is None else scene.weights[order]
+    lattice = None if scene.lattice is None else scene.lattice.of(order)
+    return Survey(geometry, start, weights, scene.kind, model, lattice)
 
 
 def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator | native.Reader:

@@ -35,7 +35,7 @@ def ffbp(
     fallback: bool = True,
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | str | None = None,
     nan: str = "raise",
     out: ComplexArray | None = None,
     progress: Callable[[float], None] | None = None,

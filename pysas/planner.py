@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,10 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-from numpy.polynomial import Chebyshev, Polynomial
 
-from pysas import _checks, engine, layouts
-from pysas._checks import FloatArray
+from pysas import _checks, bounds, engine, layouts, view_angles
 from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, tree
@@ -30,43 +27,18 @@ from pysas.grid import Grid
 from pysas.plans import Plan
 from pysas.scene import Scene
 
-# Tables made by `python -m bench.interpolation_table`: THETA[degree][i] for errors 10^-(1 + i/2), GUARD[i] likewise.
-# fmt: off
-THETA = {
-    1: (
-        0.6406309, 0.3570764, 0.2002508, 0.1125128, 0.0632535, 0.035567, 0.0200003, 0.0112469,
-        0.0063246, 0.0035566, 0.002, 0.0011247, 0.0006325, 0.0003557, 0.0002, 0.0001125,
-        6.32e-05, 3.56e-05, 2e-05, 1.12e-05, 6.3e-06, 3.6e-06, 2e-06,
-    ),
-    3: (
-        2.2029502, 1.6130996, 1.1948211, 0.8900513, 0.6650094, 0.4976756, 0.3727813, 0.2793691,
-        0.2094227, 0.1570134, 0.1177302, 0.0882796, 0.066198, 0.0496405, 0.0372247, 0.0279144,
-        0.0209328, 0.0156974, 0.0117713, 0.0088273, 0.0066195, 0.0049639, 0.0037224,
-    ),
-    5: (
-        3.948613, 3.1623589, 2.5629358, 2.0910409, 1.7129459, 1.4068107, 1.1573075, 0.9530982,
-        0.7854958, 0.647684, 0.5342275, 0.4407442, 0.3636746, 0.3001126, 0.2476771, 0.2044129,
-        0.1687115, 0.1392486, 0.1149327, 0.0948639, 0.0782999, 0.0646284, 0.0533442,
-    ),
-    7: (
-        5.7628304, 4.8302489, 4.0945778, 3.4942465, 2.9947886, 2.5741886, 2.2171415, 1.9123686,
-        1.651205, 1.4267877, 1.2335575, 1.0669348, 0.9230999, 0.7988365, 0.6914176, 0.5985186,
-        0.5181503, 0.4486054, 0.3884151, 0.3363139, 0.2912101, 0.2521608, 0.2183514,
-    ),
-}
-GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642, 1018, 1625, 2572, 4070, 6447, 10213, 16193, 25657, 40675, 64460)
-# fmt: on
-
 METHODS = ("auto", "backprojection", "ffbp")
 SHARE_INTERPOLATION = 0.85
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 ROWS = 32
+LONGEST_BLOCK = 64
 BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
 # of tol, where sums go through a tree: for the sums of its leaves; what the rest may cost is the tree's
 SHARE_LEAVES = 0.35
 SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
+SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
 SHARE_RELIEF = 0.2  # of tol, for pixels read off the planes of their sub-images, where any are
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
 # width, rate and half length of the filters that a tree may use, cheapest first
@@ -115,49 +87,6 @@ class Choices:
         return float(sum(self.errors.values()))
 
 
-def theta_limit(degree: int, error: float) -> float:
-    """Largest theta at which degree `degree` keeps `error`: THETA read log-linearly."""
-    exponents = 1 + 0.5 * np.arange(len(THETA[degree]))
-    return float(np.exp(np.interp(-np.log10(error), exponents, np.log(THETA[degree]))))
-
-
-def interpolation_error(degree: int, theta: float) -> float:
-    """Bound of the interpolation's error at phase advance `theta`: the inverse of `theta_limit`."""
-    logs = np.log(THETA[degree])[::-1]
-    exponents = (1 + 0.5 * np.arange(len(THETA[degree])))[::-1]
-    below = np.log(max(theta, 1e-12))
-    if below < logs[0]:
-        return float(10.0 ** -exponents[0] * np.exp((degree + 1) * (below - logs[0])))
-    return float(10.0 ** -np.interp(below, logs, exponents))
-
-
-def guard(error: float) -> int:
-    """Zeros that keep wrap-round below `error` (at most 1e-11)."""
-    index = int(np.ceil(2 * (-np.log10(error) - 1) - 1e-9))
-    return GUARD[min(max(index, 0), len(GUARD) - 1)]
-
-
-@functools.cache
-def trigonometry(terms: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], float]:
-    """Polynomials in turns^2 of sin(2 pi t)/t (`terms`) and cos(2 pi t) (`terms` + 1) on |t| <= 1/2, and their error."""
-
-    def sine(q: FloatArray) -> FloatArray:
-        t = np.sqrt(q)
-        return np.asarray(2 * np.pi * np.sinc(2 * t))
-
-    def cosine(q: FloatArray) -> FloatArray:
-        return np.asarray(np.cos(2 * np.pi * np.sqrt(q)))
-
-    fits = []
-    worst = 0.0
-    q = np.linspace(0, 0.25, 401)
-    for function, count, weight in ((sine, terms, np.sqrt(q)), (cosine, terms + 1, np.ones_like(q))):
-        series = Chebyshev.interpolate(function, count - 1, domain=[0, 0.25])
-        worst = max(worst, float(np.max(np.abs(weight * (series(q) - function(q))))))
-        fits.append(tuple(float(v) for v in series.convert(kind=Polynomial).coef))
-    return (fits[0], fits[1]), worst
-
-
 def plan(
     echoes: Echoes,
     grid: Grid,
@@ -165,7 +94,7 @@ def plan(
     method: str = "auto",
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | str | None = None,
     nan: str = "raise",
     fallback: bool = True,
 ) -> Plan:
@@ -184,8 +113,8 @@ def plan(
     threads : int, optional
         Default: PYSAS_NUM_THREADS, else all processors. The image does not depend on it.
     backend : {"auto", "numba", "cpp"}
-    weights : (ping,) or (ping, channel) array_like, optional
-        Real or complex factors of the terms; 0 leaves a trace out.
+    weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
+        As in `backproject`.
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     fallback : bool
@@ -218,12 +147,28 @@ def plan(
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
     count = _checks.threads(threads)
-    if method != "ffbp":
-        return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), count, name, nan)
-    forest, why = _plant(scene, grid, tol, name, fallback)
-    if forest is None:
-        return Plan(echoes, grid, tol, scene, _choose(scene, tol, name), count, name, nan, "ffbp", None, why)
-    return Plan(echoes, grid, tol, forest.scene, forest.choices, count, name, nan, "ffbp", forest)
+    left = tol - _weigh(scene, grid, SHARE_VIEWS * tol, method == "ffbp", count)
+    forest, why = _plant(scene, grid, left, name, fallback) if method == "ffbp" else (None, "")
+    choices = _choose(scene, left, name) if forest is None else forest.choices
+    if scene.lattice is not None:
+        choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": scene.lattice.error})
+    chosen = "ffbp" if method == "ffbp" else "backprojection"
+    return Plan(echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why)
+
+
+def _weigh(scene: Scene, grid: Grid, error: float, tree: bool, threads: int) -> float:
+    """Give a scene its weights uniform in view angle, if it asks for them; their share of tol."""
+    if not scene.uniform or not scene.heard.any():
+        return 0.0
+    node = _node(scene) if tree else 0.0  # which also lie around the image
+    stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
+    scene.lattice = view_angles.lattice(scene, grid, error, LONGEST_BLOCK / 2 * node, stretch, threads)
+    return min(error, scene.lattice.error)
+
+
+def _node(scene: Scene) -> float:
+    """From one node of a sub-image's ray to the next at most, m."""
+    return scene.c / (4 * scene.band * scene.fs)
 
 
 def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
@@ -248,7 +193,7 @@ def _choose(
         errors["rounding"] = 2.0**-22
     least = 2.0**-23 if single else 1e-14
     for terms in native.TRIGONOMETRY[precision] if backend == "cpp" else range(4, 13):
-        _, wrong = trigonometry(terms)
+        _, wrong = bounds.trigonometry(terms)
         if wrong <= max(SHARE_PHASE * tol, least):
             break
     errors["sine and cosine"] = wrong
@@ -270,7 +215,7 @@ def _choose_filter(
     back to twice the sample rate, where |f| <= 1/4 is all there is left for the filter to read.
     """
     heard = scene.heard
-    away = guard(SHARE_WRAP * tol)
+    away = bounds.guard(SHARE_WRAP * tol)
     errors = errors | {"record's ends": SHARE_WRAP * tol}
     ends = heard.any() and (np.min(scene.first[heard]) < away or np.max(scene.last[heard]) > scene.n_sample - 1 - away)
     n_fft = margin = taper = 0
@@ -314,14 +259,14 @@ def _choose_filter(
 def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices:
     """Numba: coefficients by transforms."""
     length, margin, taper, beta = _crop(scene, tol)
-    pad = guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
+    pad = bounds.guard(SHARE_WRAP * tol) if length == scene.n_sample else 0
     errors["wrap-round"] = SHARE_WRAP * tol if pad else 0.0
     n_fft = scipy.fft.next_fast_len(length + pad)
     left = min(SHARE_INTERPOLATION * tol, tol - sum(errors.values()))
     precision = shared["precision"]
     best: tuple[float, int, int] | None = None
-    for degree in THETA:
-        rate = max(1.0, np.pi * scene.band / theta_limit(degree, left))
+    for degree in bounds.THETA:
+        rate = max(1.0, np.pi * scene.band / bounds.theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
         term = term_ns(shared["block"], degree, n_fine / n_fft, "numba", scene, precision)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
@@ -329,7 +274,7 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
             best = (cost, degree, n_fine)
     assert best is not None
     _, degree, n_fine = best
-    errors["interpolation"] = interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
+    errors["interpolation"] = bounds.interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
     size = int(length * n_fine / n_fft) * (degree + 1) * (8 if precision == "float32" else 16)
     return Choices(
         degree=degree, oversampling=n_fine / n_fft, n_fft=n_fft, n_fine=n_fine, length=length, margin=margin, taper=taper,
@@ -356,7 +301,8 @@ def _choose_delay(
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
         rounding = np.pi * turns * eps + 4 * eps + uneven
-        if rounding > share * tol:
+        bent = scene.lattice is not None and 2 * half > scene.lattice.longest
+        if rounding > share * tol or bent:
             continue
         near = 2 * half
         if half > 0:
@@ -387,7 +333,7 @@ def _crop(scene: Scene, tol: float) -> tuple[int, int, int, float]:
     if not heard.any():
         return scene.n_sample, 0, 0, 0.0
     free = 1 / 2.2 - scene.band
-    margin = guard(tol)
+    margin = bounds.guard(tol)
     if free < 0.01:
         return scene.n_sample, 0, 0, 0.0
     beta = np.log(1e3 / tol)
@@ -421,6 +367,8 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         return None, f"tol below {TREE_TOL:g}: all terms"
     if not scene.heard.any():
         return None, "the grid lies outside the recorded window: all terms"
+    if scene.lattice is not None and (LONGEST_BLOCK - 1) * _node(scene) > scene.lattice.longest:
+        return None, "view-angle weights change fast along the rays of sub-images: all terms"
     share = SHARE_LEAVES * tol
     flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])
     relief = 0.05 * tol if flat else SHARE_RELIEF * tol
@@ -450,7 +398,7 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         stages = len(fans) + 1
         for width, rate, half in TAPS:
             taps = tree.taps(width, rate, half)
-            if _tree_error(taps, stages) <= tol - share - relief:
+            if bounds.tree_error(taps, stages) <= tol - share - relief:
                 break
         else:
             continue
@@ -470,19 +418,10 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
     if forest is None or not any(t.read.any() for t in forest.trees):
         return None, "no pixel far enough from all groups of pings, or too steep a relief: all terms"
     choices = _choose(forest.scene, share, backend, SHARE_ROUNDING, forest.rate)
-    errors = choices.errors | {"sub-images": _tree_error(best[1].taps, len(best[1].fans) + 1)}
+    errors = choices.errors | {"sub-images": bounds.tree_error(best[1].taps, len(best[1].fans) + 1)}
     stack = max(sheet.planes.size for sheet in forest.sheets)
     if not all(sheet.flat for sheet in forest.sheets):
         errors["relief"] = relief
     forest.choices = dataclasses.replace(choices, errors=errors)
     forest.seconds = best[0] * stack
     return forest, ""
-
-
-def _tree_error(taps: tree.Taps, stages: int) -> float:
-    """Bound of a tree's interpolation: along rays the band's worst frequency, across them the mean over a group's pings.
-
-    A stage's error of a component depends on where between nodes it is read, and stages read at unrelated places: they add
-    as squares. 1.2 is the margin of the tolerance sweep.
-    """
-    return 1.2 * math.sqrt(stages) * math.hypot(taps.worst, taps.rms)

@@ -123,7 +123,7 @@ class Plan:
     @property
     def predicted_memory(self) -> int:
         """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
-        c = self.choices
+        c, scene = self.choices, self.scene
         item = 8 if c.precision == "float32" else 16
         work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
         if c.n_fft:
@@ -132,6 +132,8 @@ class Plan:
             work += 24 * min(native.SLAB, self.grid.size)
         if self.forest is not None:
             work += self.forest.store_bytes
+        if scene.lattice is not None:
+            work += scene.lattice.value.nbytes
         return int(self.grid.size * self.dtype.itemsize + work)
 
     def explain(self) -> str:
@@ -144,7 +146,7 @@ class Plan:
         rows = [
             (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
             (scene.kind != MOVING, "receivers' motion within the ping: no velocity"),
-            (scene.weights is None, "weights: none given"),
+            (scene.weights is None and not scene.uniform, "weights: none given"),
             (scene.cos_beam <= -1, "beam: none given"),
             (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
             (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,11 +12,13 @@ from pysas.echoes import Echoes
 from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.grid import Grid
 
+UNIFORM = "uniform-angle"
+
 
 class Scene:
     """What the planner sees: geometry about the scene's centre, the window of every trace, the shape of the work."""
 
-    def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | None) -> None:
+    def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | str | None) -> None:
         self.fs, self.fc, self.c = echoes.fs, echoes.fc, echoes.c
         self.n_sample, self.dtype = echoes.n_sample, echoes.dtype
         self.band = echoes.occupied_bandwidth / 2 / echoes.fs
@@ -41,7 +45,10 @@ class Scene:
             self.cos_beam = float(np.cos(echoes.beam.half_angle))
         geometry[:, 12] = np.repeat(echoes.start_time, channels)
         self.geometry = geometry
+        self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
+        self.lattice: Any = None  # weights that change from pixel to pixel, see view_angles.py
+        self.low, self.high = low, high
         self.bottom, self.top = float(low[2]), float(high[2])
         near_tx, far_tx = _distances(tx, low, high)
         near_rx, far_rx = _distances(rx, low, high)
@@ -70,8 +77,12 @@ class Scene:
         )
 
 
-def _weights(weights: npt.ArrayLike | None, pings: int, channels: int) -> ComplexArray | None:
+def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray | None:
     if weights is None:
+        return None
+    if isinstance(weights, str):
+        if weights != UNIFORM:
+            raise ValueError(f"weights={weights!r}: expected an array or {UNIFORM!r}")
         return None
     array = np.asarray(weights)
     if array.dtype.kind not in "iufc":

@@ -182,11 +182,11 @@ def test_numba_reads_only_its_own_traces(monkeypatch):
     kernel = summation._numba.sum_tile
 
     def watched(coords, blocks, straight, active, geometry, model, kind, table, x, *rest):
-        out = rest[-1]
+        *_, pairs, _, _, out = rest
         assert out.shape[1] == x.size
         pixels = blocks[:, None, :3] + np.arange(x.size)[:, None] * blocks[:, None, 3:]
         interval = (2 / 1500 * np.linalg.norm(pixels - geometry[0, :3], axis=-1) - geometry[0, 12]) * model[2] - geometry[0, 13]
-        seen.append((interval.max() * model[3], table.size / len(geometry) / (4 * len(rest[-2]))))
+        seen.append((interval.max() * model[3], table.size / len(geometry) / (4 * len(pairs))))
         return kernel(coords, blocks, straight, active, geometry, model, kind, table, x, *rest)
 
     monkeypatch.setattr(summation._numba, "sum_tile", watched)

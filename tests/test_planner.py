@@ -10,14 +10,14 @@ from scenes import PLANE, moving, straight
 from scipy.special import jv
 
 import pysas
-from pysas import planner
+from pysas import bounds
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7])
 @pytest.mark.parametrize("i", [0, 4, 8, 14, 22])
 def test_theta_is_where_the_cut_series_reaches_its_error(degree, i):
     """exp(j theta x) = sum (2 - [k=0]) j^k J_k(theta) T_k(x) (Jacobi-Anger), cut after `degree`; 10^-(1 + i/2) at worst."""
-    theta, asked = planner.THETA[degree][i], 10 ** -(1 + i / 2)
+    theta, asked = bounds.THETA[degree][i], 10 ** -(1 + i / 2)
     angle = np.linspace(0, np.pi, 999)
     k = np.arange(degree + 1)
     weight = (2.0 - (k == 0)) * 1j**k * jv(k, theta)
@@ -34,20 +34,20 @@ def test_guard_is_where_the_low_pass_tail_falls_below_its_error(i):
     edge = np.clip((np.abs(f) - 1 / 2.2) / (0.5 - 1 / 2.2), 0, 1)
     kernel = np.abs(np.fft.ifft(np.cos(np.pi / 2 * edge) ** 2 * np.exp(-1j * np.pi * f)))[1 : n // 2]
     tail = np.sqrt(np.cumsum(kernel[::-1] ** 2)[::-1])
-    asked, count = 10 ** -(1 + i / 2), planner.GUARD[i]
+    asked, count = 10 ** -(1 + i / 2), bounds.GUARD[i]
     assert tail[count - 1] < asked * 1.01 and tail[count - 2] > asked * 0.99
 
 
 def test_limits_are_each_other_s_inverse():
-    for degree in planner.THETA:
+    for degree in bounds.THETA:
         for error in 10.0 ** -np.linspace(1, 12, 23):
-            assert planner.interpolation_error(degree, planner.theta_limit(degree, error)) == pytest.approx(error, rel=1e-6)
-        assert planner.interpolation_error(degree, 1e-9) < 1e-15
+            assert bounds.interpolation_error(degree, bounds.theta_limit(degree, error)) == pytest.approx(error, rel=1e-6)
+        assert bounds.interpolation_error(degree, 1e-9) < 1e-15
 
 
 @pytest.mark.parametrize("terms", range(3, 10))
 def test_sine_and_cosine_are_as_good_as_stated(terms):
-    (sine, cosine), stated = planner.trigonometry(terms)
+    (sine, cosine), stated = bounds.trigonometry(terms)
     t = np.linspace(-0.5, 0.5, 3001)
     wrong = np.abs(t * np.polynomial.polynomial.polyval(t**2, sine) - np.sin(2 * np.pi * t)).max()
     wrong = max(wrong, np.abs(np.polynomial.polynomial.polyval(t**2, cosine) - np.cos(2 * np.pi * t)).max())

@@ -143,17 +143,33 @@ Terms<Real> terms_of(const py::array& table, int degree, const std::vector<doubl
     return terms;
 }
 
+// (ny, nx, trace) weights, and the lattice's first place and steps: x, y, dx, dy, and how long lines are at most.
+using LatticeArrays = std::optional<std::pair<Array<float>, Array<double>>>;
+
+Lattice lattice_of(const LatticeArrays& arrays, std::int64_t traces) {
+    if (!arrays) return {};
+    const auto& [value, axes] = *arrays;
+    if (value.ndim() != 3 || value.shape(0) < 4 || value.shape(1) < 4 || value.shape(2) != traces || axes.size() != 5)
+        throw py::value_error(
+            "a lattice: (ny, nx, trace) of at least 4 x 4 places, its first place, steps, longest line");
+    return {value.data(), traces,     value.shape(1), value.shape(0), axes.at(0),
+            axes.at(1),   axes.at(2), axes.at(3),     axes.at(4)};
+}
+
 std::int64_t add_batch(const py::array& table, int degree, const std::vector<double>& sine,
                        const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
                        int kind, const Array<double>& nodes, const Array<double>& fit,
                        const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
                        const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
-                       int count, const py::array& image, int threads, const std::string& isa, const py::object& tick) {
+                       int count, const LatticeArrays& weights, const py::array& image, int threads,
+                       const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
+    const Lattice lattice = lattice_of(weights, geometry.shape(0));
     const auto call = [&](auto real, auto pixel) {
         using Real = decltype(real);
         Terms<Real> terms = terms_of<Real>(table, degree, sine, cosine, geometry, model, kind);
+        terms.lattice = weights ? &lattice : nullptr;
         terms.nodes.count = static_cast<int>(nodes.size());
         std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
         std::copy_n(fit.data(), max_nodes * max_nodes, &terms.nodes.fit[0][0]);
@@ -204,13 +220,15 @@ struct TreeOf {
 void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, const std::vector<double>& sine,
                  const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model, int kind,
                  const Array<std::int64_t>& span, const Array<double>& place, const Array<std::int64_t>& shape,
-                 const Array<std::int32_t>& range, Array<float> store, double slack, bool smooth, int threads,
-                 const std::string& isa, const py::object& tick) {
+                 const Array<std::int32_t>& range, const LatticeArrays& weights, Array<float> store, double slack,
+                 bool smooth, int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto images = images_of(place, shape, range, store);
     Terms<float> terms = terms_of<float>(table, degree, sine, cosine, geometry, model, kind);
     terms.nodes = tree.tree.nodes;
+    const Lattice lattice = lattice_of(weights, geometry.shape(0));
+    terms.lattice = weights ? &lattice : nullptr;
     const std::int64_t* spans = span.data();
     const py::gil_scoped_release gil;
     leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), slack, smooth,
@@ -343,8 +361,8 @@ PYBIND11_MODULE(_core, m) {
                       const Array<double>&>(),
              "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
     m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a,
-          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "slack"_a, "smooth"_a, "threads"_a, "isa"_a,
-          "tick"_a, "Fill the sub-images of groups of traces.");
+          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "weights"_a, "store"_a, "slack"_a, "smooth"_a,
+          "threads"_a, "isa"_a, "tick"_a, "Fill the sub-images of groups of traces.");
     m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
           "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,
           "isa"_a, "tick"_a, "Fill sub-images from their children's.");
@@ -354,6 +372,6 @@ PYBIND11_MODULE(_core, m) {
     m.def("plant", &plant_group, "geometry"_a, "centres"_a, "traces"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
           "rate"_a, "spare"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "The tree below a group of traces.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
-          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "image"_a, "threads"_a, "isa"_a, "tick"_a,
-          "Add a batch's terms to an image; returns how many.");
+          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "image"_a, "threads"_a, "isa"_a,
+          "tick"_a, "Add a batch's terms to an image; returns how many.");
 }

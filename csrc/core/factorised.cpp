@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/errors.hpp"
+#include "core/lattice.hpp"
 
 namespace pysas {
 namespace {
@@ -131,9 +132,16 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
             part.traces += span[piece.image];
             part.table += span[piece.image] * terms.trace_stride;
             part.n_trace = span[piece.image + 1] - span[piece.image];
+            Lattice lattice{};
+            if (terms.lattice) {
+                lattice = *terms.lattice;
+                lattice.value += span[piece.image];
+                part.lattice = &lattice;
+            }
+            TileWeights<float> weights;
             alignas(64) float re[tile_rows * block], im[tile_rows * block];
             std::int64_t rays[tile_rows];
-            LeafJob job{&tree, &image, &part, rays, 0, 0, 0, static_cast<float>(slack), re, im};
+            LeafJob job{&tree, &image, &part, rays, 0, 0, 0, static_cast<float>(slack), re, im, nullptr};
             for (std::int64_t ray = 0; ray < image.rays;) {
                 // rays that have nodes here, and what of the stretch they need
                 std::int64_t begin = piece.end, end = piece.begin;
@@ -148,6 +156,7 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
                 if (job.rows == 0) break;
                 job.begin = begin;
                 job.count = static_cast<int>(end - begin);
+                job.weights = weights.of_rays(part, image, rays, job.rows, begin);
                 kernels.leaf(job);
                 for (int r = 0; r < job.rows; ++r) {
                     std::copy_n(re + r * block, job.count, image.re + rays[r] * image.stride + begin);

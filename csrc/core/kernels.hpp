@@ -44,6 +44,14 @@ struct Nodes {
     double fit[max_nodes][max_nodes];
 };
 
+// Weights of terms at places of a lattice over x and y, (ny, nx) places `apart` floats from one to the next, one float
+// for each trace; between them cubics. Along `longest` metres a quartic through five places holds as well.
+struct Lattice {
+    const float* value;
+    std::int64_t apart, nx, ny;
+    double x0, y0, dx, dy, longest;
+};
+
 template <typename Real>
 struct Terms {
     const Real* table;
@@ -56,6 +64,20 @@ struct Terms {
     Model model;
     Kind kind;
     Nodes nodes;
+    const Lattice* lattice;  // or null: every term weighs 1
+};
+
+constexpr int weight_nodes = 5;
+
+// Weights of a tile's terms: of `n_trace` traces at each of (lines, columns) places. Lines: all, or weight_nodes evenly
+// spaced from the first to the last, of whose values a row's are sums with its factors. Columns: all pixels, or
+// weight_nodes evenly spaced along a block.
+template <typename Real>
+struct Weights {
+    const Real* value;
+    std::int64_t n_trace;
+    int lines, columns;
+    alignas(64) Real factor[weight_nodes][tile_rows];
 };
 
 template <typename Real>
@@ -67,6 +89,7 @@ struct TileJob {
     int rows, count;
     Real *re, *im;           // (rows, block), set to the sums
     std::int64_t evaluated;  // terms evaluated
+    const Weights<Real>* weights;
 };
 
 // Interval k = phases m + phase lies (k + 1/2) step / phases samples after the first; its coefficients are sums over
@@ -132,6 +155,7 @@ struct LeafJob {
     int count;
     float slack;
     float *re, *im;  // (tile_rows, block), set to the sums
+    const Weights<float>* weights;
 };
 
 // One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 4

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "core/lattice.hpp"
+
 namespace pysas {
 namespace {
 
@@ -116,7 +118,8 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             double lines[tile_rows * 6];
             std::vector<double> tail;
             std::uint8_t active[tile_rows];
-            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, frame.count, re, im, 0};
+            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, frame.count, re, im, 0, nullptr};
+            TileWeights<Real> weights;
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
                 job.count = static_cast<int>(right - left);  // a block never runs on behind the image: tables end there
@@ -147,6 +150,8 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
                 any = any || active[r];
             }
             if (!any) return;
+            job.weights = straight ? weights.of_lines(terms, lines, job.rows, job.count)
+                                   : weights.of_points(terms, job.points, job.rows, job.count);
             run_sum(kernels, job);
             counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * job.count);
             using value = typename Pixel::value_type;

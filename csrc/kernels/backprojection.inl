@@ -96,10 +96,74 @@ void add_turned(typename V::vec re, typename V::vec im, typename V::vec sine, ty
     V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
 }
 
-// Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1].
+// Weights of one trace's terms along a tile's lines, by vector of pixels as polynomials of the lane's place in [-1, 1].
+template <class V>
+struct Levels {
+    static constexpr int subs = block / V::n;
+    alignas(64) typename V::real power[subs][3][tile_rows];
+};
+
+// Places of a vector's lanes in [-1, 1].
+template <class V>
+typename V::vec lanes() {
+    alignas(64) typename V::real place[V::n];
+    for (int i = 0; i < V::n; ++i) place[i] = static_cast<typename V::real>(2.0 * i / (V::n - 1) - 1);
+    return V::load(place);
+}
+
+template <class V>
+void levels(const Weights<typename V::real>& weights, std::int64_t trace, int rows, int count, Levels<V>& out) {
+    using real = typename V::real;
+    using vec = typename V::vec;
+    const real* value = weights.value + trace;
+    const std::int64_t n = weights.n_trace;
+    alignas(64) real at[weight_nodes][tile_rows];
+    if (weights.lines == weight_nodes) {
+        for (int j = 0; j < weight_nodes; ++j) {
+            for (int r = 0; r < rows; r += V::n) {
+                vec sum = V::set(0);
+                for (int k = 0; k < weight_nodes; ++k)
+                    sum = V::fma(V::load(weights.factor[k] + r), V::set(value[(weight_nodes * k + j) * n]), sum);
+                V::store(at[j] + r, sum);
+            }
+        }
+    } else {
+        for (int r = 0; r < tile_rows; ++r) {
+            for (int j = 0; j < weight_nodes; ++j) at[j][r] = r < rows ? value[(weight_nodes * r + j) * n] : 0;
+        }
+    }
+    const vec half = V::set(real(0.5)), third = V::set(real(4.0 / 3));
+    for (int r = 0; r < rows; r += V::n) {
+        const vec middle = V::load(at[2] + r);
+        const vec even1 = V::fma(half, V::add(V::load(at[1] + r), V::load(at[3] + r)), V::sub(V::set(0), middle));
+        const vec even2 = V::fma(half, V::add(V::load(at[0] + r), V::load(at[4] + r)), V::sub(V::set(0), middle));
+        const vec odd1 = V::mul(half, V::sub(V::load(at[3] + r), V::load(at[1] + r)));
+        const vec odd2 = V::mul(half, V::sub(V::load(at[4] + r), V::load(at[0] + r)));
+        const vec p4 = V::mul(third, V::fnma(V::set(4), even1, even2));
+        const vec p3 = V::mul(third, V::fnma(V::set(2), odd1, odd2));
+        const vec p[weight_nodes] = {middle, V::sub(odd2, p3), V::sub(even2, p4), p3, p4};
+        const double length = count > 1 ? count - 1 : 1;
+        const real wide = static_cast<real>((V::n - 1) / length);
+        for (int s = 0; s * V::n < count; ++s) {
+            // value, slope and curve in a vector's middle, by dividing by what leads to it again and again
+            const vec at = V::set(static_cast<real>((2 * s * V::n + V::n - 1) / length - 1));
+            vec q[weight_nodes];
+            for (int i = 0; i < weight_nodes; ++i) q[i] = p[i];
+            for (int k = 0; k < 3; ++k) {
+                for (int i = weight_nodes - 2; i >= k; --i) q[i] = V::fma(q[i + 1], at, q[i]);
+            }
+            V::store(out.power[s][0] + r, q[0]);
+            V::store(out.power[s][1] + r, V::mul(V::set(wide), q[1]));
+            V::store(out.power[s][2] + r, V::mul(V::set(wide * wide), q[2]));
+        }
+    }
+}
+
+// Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or
+// null.
 template <class V, int N, int D, int T, int W>
 void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
-               const Phase<V, T> phase, const typename V::real* x, const std::uint8_t* take) {
+               const Levels<V>* level, const Phase<V, T> phase, const typename V::real* x, const std::uint8_t* take) {
     using real = typename V::real;
     using vec = typename V::vec;
     const Terms<real>& job = *tile.terms;
@@ -109,6 +173,7 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     real *const all_re = tile.re, *const all_im = tile.im;
     const vec ratio = V::set(static_cast<real>(job.model.fc / (job.model.fs * job.model.rate)));
     const vec round = V::set(magic<real>());
+    const vec lane = lanes<V>();
     const int used = (tile.count + V::n - 1) / V::n;
     for (int r = 0; r < rows; ++r) {
         if (!take[r]) continue;
@@ -134,6 +199,12 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             const vec k = V::load(intervals + s * V::n);
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
+            if (level) {
+                const auto& power = level->power[s];
+                const vec w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
+                sine = V::mul(sine, w);
+                cosine = V::mul(cosine, w);
+            }
             read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
                           V::load(position + s * V::n), re, im);
             add_turned<V>(re, im, sine, cosine, all_re + r * block + s * V::n, all_im + r * block + s * V::n);
@@ -141,14 +212,16 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     }
 }
 
-// Add one trace's terms of line `r` from each pixel's own delay; terms outside the record or the beam weigh nothing.
+// Add trace number `number`'s terms of line `r` from each pixel's own delay; terms outside the record or the beam weigh
+// nothing.
 template <class V, int D, int T, Kind K>
-std::int64_t add_exact(const TileJob<typename V::real>& tile, const Trace& trace, const typename V::real* table,
-                       const Phase<V, T>& phase, int r) {
+std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t number, const typename V::real* table,
+                       const Levels<V>* level, const Phase<V, T>& phase, int r) {
     using real = typename V::real;
     using W = Double;
     const Terms<real>& job = *tile.terms;
     const Model& model = job.model;
+    const Trace& trace = job.traces[number];
     alignas(64) double x[3][block];
     for (int m = 0; m < block; ++m) {
         const int pixel = m < tile.count ? m : tile.count - 1;
@@ -190,6 +263,17 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, const Trace& trace
             for (int i = 0; i < W::n; ++i) each[i] = m + i < tile.count ? each[i] : 0.0;
             counted = W::add(counted, W::load(each));
         }
+    }
+    if (level) {
+        for (int m = 0; m < tile.count; ++m) {
+            const auto& power = level->power[m / V::n];
+            const double lane = 2.0 * (m % V::n) / (V::n - 1) - 1;
+            weight[m] *= power[0][r] + lane * (power[1][r] + lane * power[2][r]);
+        }
+    } else if (tile.weights) {
+        const real* own =
+            tile.weights->value + static_cast<std::int64_t>(r) * tile.count * tile.weights->n_trace + number;
+        for (int m = 0; m < tile.count; ++m) weight[m] *= own[m * tile.weights->n_trace];
     }
     for (int m = 0; m < tile.count; m += V::n) {
         typename V::vec sine, cosine, re, im;
@@ -264,6 +348,8 @@ void sum_traces(TileJob<typename V::real>& tile) {
     Polynomials<V, N> poly;
     std::int64_t evaluated = 0;
     std::uint8_t take[tile_rows];
+    Levels<V> scratch;
+    const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
     int active = 0;
     for (int r = 0; r < rows; ++r) active += tile.active[r] != 0;
     for (std::int64_t i = 0; i < job.n_trace; ++i) {
@@ -274,10 +360,11 @@ void sum_traces(TileJob<typename V::real>& tile) {
         if (where == Reach::outside) continue;
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
-                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, trace, table, phase, r);
+                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r);
             }
             continue;
         }
+        if (level) levels<V>(*tile.weights, i, rows, count, scratch);
         int lines = active;
         for (int r = 0; r < rows; ++r) take[r] = tile.active[r];
         if (where == Reach::across || nearest < job.model.near) {
@@ -285,7 +372,7 @@ void sum_traces(TileJob<typename V::real>& tile) {
                 if (!take[r]) continue;
                 const Reach here = reach(trace, job.model, row_centre[r], row_radius[r], nearest);
                 if (here == Reach::inside && nearest >= job.model.near) continue;
-                if (here != Reach::outside) evaluated += add_exact<V, D, T, K>(tile, trace, table, phase, r);
+                if (here != Reach::outside) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r);
                 take[r] = 0;
                 --lines;
             }
@@ -294,13 +381,13 @@ void sum_traces(TileJob<typename V::real>& tile) {
         evaluated += static_cast<std::int64_t>(lines) * count;
         const double span = polynomials<V, N, K>(job, trace, at, rows, poly);
         if (V::windows >= 1 && span < V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 1 ? 1 : 0)>(tile, table, poly, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 1 ? 1 : 0)>(tile, table, poly, level, phase, x, take);
         else if (V::windows >= 2 && span < 2 * V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 2 ? 2 : 0)>(tile, table, poly, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 2 ? 2 : 0)>(tile, table, poly, level, phase, x, take);
         else if (V::windows >= 4 && span < 4 * V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 4 ? 4 : 0)>(tile, table, poly, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 4 ? 4 : 0)>(tile, table, poly, level, phase, x, take);
         else
-            add_lines<V, N, D, T, 0>(tile, table, poly, phase, x, take);
+            add_lines<V, N, D, T, 0>(tile, table, poly, level, phase, x, take);
     }
     tile.evaluated = evaluated;
 }

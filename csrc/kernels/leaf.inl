@@ -22,6 +22,7 @@ struct Drifts {
     alignas(64) float key[subs][tile_rows], whole[subs][tile_rows], position[subs][3][tile_rows],
         factor[subs][6][tile_rows];
     alignas(64) float cycles[subs][tile_rows];
+    const Levels<V>* level;  // weights, or null
 };
 
 // Nodes of all rays at the places where delays are exact, and the two-way slant range there in intervals.
@@ -110,6 +111,18 @@ void expand(const LeafJob& job, const Phase<V, 6>& phase, float ratio, std::int6
             V::store(out.factor[s][3] + r, V::mul(b, cosine));
             V::store(out.factor[s][4] + r, V::fnma(bent, sine, V::mul(half, cosine)));
             V::store(out.factor[s][5] + r, V::fma(bent, cosine, V::mul(half, sine)));
+            if (out.level) {
+                // w0 + w1 l + w2 l^2 times the factor, but for cubes of l
+                const auto& power = out.level->power[s];
+                const auto w0 = V::load(power[0] + r), w1 = V::load(power[1] + r), w2 = V::load(power[2] + r);
+                for (int part = 0; part < 2; ++part) {
+                    const auto f0 = V::load(out.factor[s][part] + r), f1 = V::load(out.factor[s][2 + part] + r),
+                               f2 = V::load(out.factor[s][4 + part] + r);
+                    V::store(out.factor[s][part] + r, V::mul(w0, f0));
+                    V::store(out.factor[s][2 + part] + r, V::fma(w0, f1, V::mul(w1, f0)));
+                    V::store(out.factor[s][4 + part] + r, V::fma(w0, f2, V::fma(w1, f1, V::mul(w2, f0))));
+                }
+            }
             // what a vector's nodes swing by, and what its factor's polynomial leaves out
             const auto swing = V::add(V::abs(slope), V::abs(curve));
             const auto angle = V::mul(swing, V::set(turn * ratio));
@@ -129,6 +142,15 @@ void expand(const LeafJob& job, const Phase<V, 6>& phase, float ratio, std::int6
             if (begin < 0 || begin + V::n > static_cast<double>(room)) out.key[s][r] = 2 * breaking;
         }
     }
+}
+
+// Multiply by what nodes of vector `s` of a ray weigh.
+template <class V>
+void weigh(const Drifts<V>& drift, int s, int r, typename V::vec lane, typename V::vec& sine, typename V::vec& cosine) {
+    const auto& power = drift.level->power[s];
+    const auto w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
+    sine = V::mul(sine, w);
+    cosine = V::mul(cosine, w);
 }
 
 // Rays [first, last) whose nodes of vector `s` all read the intervals at `planes`.
@@ -152,6 +174,7 @@ void add_run(const float* planes, std::int64_t stride, const Phase<V, 6>& phase,
         if constexpr (Turning) {
             const auto ph = V::fma(V::set(ratio), moved, V::set(drift.cycles[s][r]));
             phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
+            if (drift.level) weigh<V>(drift, s, r, lane, sine, cosine);
         } else {
             cosine = V::fma(V::fma(V::set(factor[4][r]), lane, V::set(factor[2][r])), lane, V::set(factor[0][r]));
             sine = V::fma(V::fma(V::set(factor[5][r]), lane, V::set(factor[3][r])), lane, V::set(factor[1][r]));
@@ -182,6 +205,7 @@ void add_breaking(const LeafJob& job, const float* table, const Phase<V, 6>& pha
     const auto ph = V::fma(V::set(ratio), moved, V::set(drift.cycles[s][r]));
     typename V::vec sine, cosine, a, b;
     phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
+    if (drift.level) weigh<V>(drift, s, r, lane, sine, cosine);
     read<V, D, 0>(table, stride, V::load_index(index), V::sub(u, k), a, b);
     add_turned<V>(a, b, sine, cosine, job.re + r * block + s * V::n, job.im + r * block + s * V::n);
 }
@@ -211,11 +235,11 @@ void leaf_traces(LeafJob& job) {
             at.y[j][r] = image.centre[1] + ground * sine[r];
         }
     }
-    alignas(64) float lanes[V::n];
-    for (int i = 0; i < V::n; ++i) lanes[i] = static_cast<float>(2.0 * i / (V::n - 1) - 1);
-    const auto lane = V::load(lanes);
+    const auto lane = lanes<V>();
     for (int i = 0; i < tile_rows * block; ++i) job.re[i] = job.im[i] = 0;
     Drifts<V> drift;
+    Levels<V> level;
+    drift.level = job.weights ? &level : nullptr;
     const int used = (job.count + V::n - 1) / V::n;
     for (std::int64_t i = 0; i < terms.n_trace; ++i) {
         const float* table = terms.table + i * terms.trace_stride;
@@ -226,6 +250,7 @@ void leaf_traces(LeafJob& job) {
             drifts<V, Kind::stop_and_hop>(job, trace, at, ratio, drift);
         else
             drifts<V, Kind::moving>(job, trace, at, ratio, drift);
+        if (drift.level) levels<V>(*job.weights, i, rows, block, level);
         expand<V>(job, phase, static_cast<float>(ratio), terms.plane_stride, drift);
         for (int s = 0; s < used; ++s) {
             const float* key = drift.key[s];

@@ -61,12 +61,16 @@ def add(
     points: npt.NDArray[np.float64] | None,
     mask: npt.NDArray[np.bool_] | None,
     count: int,
+    weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
     image: npt.NDArray[Any],
     threads: int,
     isa: str,
     tick: Callable[[float], object] | None,
 ) -> int:
-    """Add a batch's terms to `image` (line, pixel); returns how many."""
+    """Add a batch's terms to `image` (line, pixel); returns how many.
+
+    `weights` : of the terms, at places (y, x, trace), and view_angles.Lattice.axes.
+    """
 
 class Tree:
     """Taps (see pysas.engine.tree.Taps) and carrier, turns a metre of range, that all steps of a tree share."""
@@ -97,6 +101,7 @@ def leaves(
     place: npt.NDArray[np.float64],
     shape: npt.NDArray[np.int64],
     range: npt.NDArray[np.int32],
+    weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
     store: npt.NDArray[np.float32],
     slack: float,
     smooth: bool,

@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 BLOCK = 64
 SLOTS = 4
 NODES = 5
+WEIGHTS = 5  # places along a block at which its weights are looked up
 # columns of a geometry row: transmitter, receiver, velocity, boresight (3 each), t0, index of sample 0 kept, first interval
 TX, RX, VELOCITY, BORESIGHT, T0, CROP, FIRST = 0, 3, 6, 9, 12, 13, 14
 GEOMETRY = 15
@@ -279,15 +280,66 @@ def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
             poly[q, r] = near + d * (tau[3 * rows + r] - centre) + e * (tau[4 * rows + r] - centre)
 
 
+@njit(nogil=True, cache=True, inline="always")
+def _between(place, first, step, n):
+    """First of the four of n lattice places that a cubic goes through at `place`, and the factors of their values."""
+    u = min(max((place - first) / step, 0.0), n - 1.0)
+    begin = min(max(int(u) - 1, 0), n - 4)
+    a = u - begin
+    b, c, d = a - 1, a - 2, a - 3
+    return begin, (-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6)
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST)
+def weights_at(lattice, axes, x, y):
+    """Weights (place, trace) at places x, y off a lattice (y, x, trace) of first place and steps `axes`: cubics."""
+    out = np.zeros((x.size, lattice.shape[2]), dtype=np.float32)
+    for p in range(x.size):
+        left, along = _between(x[p], axes[0], axes[2], lattice.shape[1])
+        top, across = _between(y[p], axes[1], axes[3], lattice.shape[0])
+        to = out[p]
+        for j in range(4):
+            for i in range(4):
+                factor = np.float32(across[j] * along[i])
+                value = lattice[top + j, left + i]
+                for k in range(to.size):
+                    to[k] += factor * value[k]
+    return out
+
+
+@njit(nogil=True, cache=True, fastmath=_FAST)
+def _weigh(weights, straight, x, at, cosines, sines):
+    """Multiply a slot's factors by weights at five places along a block, or at every pixel."""
+    third = x.dtype.type(4.0 / 3.0)
+    p0, p1, p2, p3, p4 = third, third, third, third, third
+    if straight:
+        p0 = weights[2]
+        even1, even2 = (weights[1] + weights[3]) / 2 - p0, (weights[0] + weights[4]) / 2 - p0
+        odd1, odd2 = (weights[3] - weights[1]) / 2, (weights[4] - weights[0]) / 2
+        p4, p3 = third * (even2 - 4 * even1), third * (odd2 - 2 * odd1)
+        p2, p1 = even2 - p4, odd2 - p3
+    for m in range(x.size):
+        if straight:
+            w = p0 + x[m] * (p1 + x[m] * (p2 + x[m] * (p3 + x[m] * p4)))
+        else:
+            w = weights[m]
+        pair = 2 * (at + m)
+        cosines[pair] *= w
+        cosines[pair + 1] *= w
+        sines[pair] *= w
+        sines[pair + 1] *= w
+
+
 @njit(nogil=True, cache=True)
 def sum_blocks(
     px, py, pz, node_points, straight, active, geometry, model, kind, coefficients, x, fit, half, sin_terms, cos_terms, pairs,
-    out,
+    weights, out,
 ):  # fmt: skip
     """Add all traces of a batch to blocks of pixels (block * count,); returns how many terms.
 
     node_points : (3, NODES * block), node j of block b at j * blocks + b, where the delay polynomials are exact (used when
-    `straight`). The rest as in `sum_tile`.
+    `straight`). weights : (block, WEIGHTS, trace) where `straight`, at places evenly spaced along a block; (block, count,
+    trace) elsewhere; no traces: every term weighs 1. The rest as in `sum_tile`.
     """
     rows, count = out.shape
     centre, radius = _sphere(px, py, pz)
@@ -355,6 +407,8 @@ def sum_blocks(
                         x, poly[slot, 0, r], poly[slot, 1, r], poly[slot, 2, r], poly[slot, 3, r], poly[slot, 4, r],
                         start[slot, r], poly[slot, 5, r], ratio, half, sin_terms, cos_terms, at, interval, t2, cosines, sines,
                     )  # fmt: skip
+                if weights.shape[2]:
+                    _weigh(weights[r, :, traces[i]], straight, x, at, cosines, sines)
             if used:
                 for m in range(count):
                     _add_terms(pairs, coefficients, interval, t2, cosines, sines, m, sums, r * 8 * count)
@@ -367,8 +421,9 @@ def sum_blocks(
 
 @njit(nogil=True, cache=True)
 def sum_tile(
-    coords, blocks, straight, active, geometry, model, kind, coefficients, x, nodes, fit, half, sin_terms, cos_terms, pairs, out
-):
+    coords, blocks, straight, active, geometry, model, kind, coefficients, x, nodes, fit, half, sin_terms, cos_terms, pairs,
+    lattice, axes, out,
+):  # fmt: skip
     """Add all traces of a batch to one tile of pixels.
 
     Parameters
@@ -389,6 +444,7 @@ def sum_tile(
     half : real
         0.5 in the type of the arithmetic.
     sin_terms, cos_terms, pairs : tuples
+    lattice, axes : (y, x, trace) float32, weights of the terms, or no traces; its first place and steps, x, y, dx, dy
     out : (block, count) complex
         Added to.
 
@@ -415,7 +471,19 @@ def sum_tile(
             for axis in range(3):
                 middle = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
                 node_points[axis, j * rows + r] = middle + nodes[j] * blocks[r, 3 + axis] * (count - 1) / 2
+    weights = np.empty((rows, WEIGHTS, 0), dtype=np.float32)
+    if lattice.shape[2]:
+        if straight:
+            ends = np.empty((2, WEIGHTS * rows))
+            for r in range(rows):
+                for j in range(WEIGHTS):
+                    along = (count - 1) * j / (WEIGHTS - 1)
+                    for axis in range(2):
+                        ends[axis, WEIGHTS * r + j] = blocks[r, axis] + along * blocks[r, 3 + axis]
+            weights = weights_at(lattice, axes, ends[0], ends[1]).reshape(rows, WEIGHTS, -1)
+        else:
+            weights = weights_at(lattice, axes, px, py).reshape(rows, count, -1)
     return sum_blocks(
         px, py, pz, node_points, straight, active, geometry, model, kind, coefficients, x, fit, half, sin_terms, cos_terms,
-        pairs, out,
+        pairs, weights, out,
     )  # fmt: skip

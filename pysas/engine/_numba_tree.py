@@ -1,9 +1,8 @@
 """Kernels of fast factorised back-projection in Numba: leaves, smoothing, one parent's rays, one tile read. See docs/ffbp.md.
 
-The steps are those of csrc/kernels/factorised.inl; places and phases are formed in float64 at every node, and weights and
-sums in float32. Neighbouring nodes of a ray read neighbouring nodes of a child as long as they lie in the same interval: such
-runs are summed tap by tap, in loops that LLVM vectorises. Everything here trusts its arguments but the places it reads at,
-which are held within a sub-image's rows.
+The steps are those of csrc/kernels/factorised.inl; places and phases are in float64, weights and sums in float32. Neighbours
+on a ray read neighbours in a child as long as they lie in the same interval: such runs are summed tap by tap, in loops that
+LLVM vectorises. Everything here trusts its arguments but places, which are held within a sub-image's rows.
 """
 
 # Types here are inferred by Numba from the arguments; mypy cannot see them.
@@ -14,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pysas.engine._numba import _FAST, NODES, _polynomial, sum_blocks
+from pysas.engine._numba import _FAST, NODES, WEIGHTS, _polynomial, sum_blocks, weights_at
 
 ROWS = 32  # rays of a leaf at a time
 WIDE = 8  # reals of a row that a read takes, whatever its taps
@@ -139,9 +138,9 @@ def _ground(slant, height):
 @njit(nogil=True, cache=True)
 def leaf(
     place, shape, ranges, begin, end, geometry, model, kind, coefficients, nodes, fit, half, sin_terms, cos_terms, pairs, wave,
-    sines, cosines, store,
+    sines, cosines, lattice, axes, store,
 ):  # fmt: skip
-    """Sum nodes [begin, end) of all rays of a leaf, its carrier taken away."""
+    """Sum nodes [begin, end) of all rays of a leaf, its carrier taken away; `lattice` (y, x, trace) as of Survey, or empty."""
     rays, stride, offset, first = shape[RAYS], shape[STRIDE], shape[OFFSET], shape[RANGE]
     height = place[2] - place[PLANE]
     chosen = np.empty(ROWS, dtype=np.int64)
@@ -180,9 +179,17 @@ def leaf(
             turns = -wave * (shape[I0] + low + m) * place[STEP]
             cycles[m] = turns - np.floor(turns + 0.5)
         out = np.zeros((rows, count), dtype=np.complex64)
+        weights = np.empty((rows, WEIGHTS, 0), dtype=np.float32)
+        if lattice.shape[2]:
+            ends = np.empty((2, WEIGHTS * rows))
+            for i in range(WEIGHTS * rows):
+                angle = place[ANGLE] + chosen[i // WEIGHTS] * place[BEAM]
+                ground = _ground((shape[I0] + low + (count - 1) * (i % WEIGHTS) / (WEIGHTS - 1)) * place[STEP], height)
+                ends[0, i], ends[1, i] = place[0] + ground * np.cos(angle), place[1] + ground * np.sin(angle)
+            weights = weights_at(lattice, axes, ends[0], ends[1]).reshape(rows, WEIGHTS, -1)
         sum_blocks(
             px, py, np.full(rows * count, place[PLANE]), node_points, True, np.ones(rows, dtype=np.bool_), geometry, model,
-            kind, coefficients, x, fit, half, sin_terms, cos_terms, pairs, out,
+            kind, coefficients, x, fit, half, sin_terms, cos_terms, pairs, weights, out,
         )  # fmt: skip
         for r in range(rows):
             at = offset + chosen[r] * stride + low

@@ -192,9 +192,8 @@ def accumulate(
         part = order[begin : begin + batch]
         clock = time.perf_counter()
         rows = table[: part.size]
-        start = survey.start[begin : begin + part.size]
-        weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
-        fill(traces, part, start, weights, scale, reader, rows, threads, isa)
+        some = survey.part(begin, begin + part.size)
+        fill(traces, part, some.start, some.weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
         width = frame.shape[1]
@@ -211,9 +210,9 @@ def accumulate(
             points = None if frame.straight else frame.points(lo, hi)
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
             terms += engine.add(
-                rows, filter.degree, trigonometry[0], trigonometry[1], survey.geometry[begin : begin + part.size], survey.model,
-                survey.kind, at, fit, frame.first if frame.straight else None, frame.step if frame.straight else None,
-                points, mask, frame.count, image[:, lo:hi], threads, isa, tick,
+                rows, filter.degree, trigonometry[0], trigonometry[1], some.geometry, survey.model, survey.kind, at, fit,
+                frame.first if frame.straight else None, frame.step if frame.straight else None, points, mask, frame.count,
+                some.lattice, image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)

@@ -92,8 +92,8 @@ class Compiled:
         s = self.setting
         native.core().leaves(
             self.tree, self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry,
-            survey.model, survey.kind, level.span, level.place, level.shape, level.range, store, slack, smooth, s.threads,
-            s.isa, tick,
+            survey.model, survey.kind, level.span, level.place, level.shape, level.range, survey.lattice, store, slack, smooth,
+            s.threads, s.isa, tick,
         )  # fmt: skip
 
     def merge(
@@ -134,7 +134,8 @@ class Compiled:
         return int(
             native.core().add(
                 self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry, survey.model,
-                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, image, s.threads, s.isa, tick,
+                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, survey.lattice, image, s.threads, s.isa,
+                tick,
             )
         )  # fmt: skip
 
@@ -178,14 +179,16 @@ class Interpreted:
                 pieces += [(i, m, min(m + _numba.BLOCK, end)) for m in range(int(rays[:, 0].min()), end, _numba.BLOCK)]
         geometry, flat = self._numbered(survey)
         model = survey.model.copy()
+        lattice, axes = survey.weighing()
         model[_numba.NEAR] = 0.0  # leaves have polynomials at any distance that the planner lets them have
 
         def add(task: int) -> None:
             i, begin, end = pieces[task]
+            part = slice(level.span[i], level.span[i + 1])
             _numba_tree.leaf(
-                level.place[i], level.shape[i], level.range, begin, end, geometry[level.span[i] : level.span[i + 1]],
-                model, survey.kind, flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs,
-                self.setting.wave, self.turns[0], self.turns[1], store,
+                level.place[i], level.shape[i], level.range, begin, end, geometry[part], model, survey.kind,
+                flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs, self.setting.wave,
+                self.turns[0], self.turns[1], lattice[..., part], axes, store,
             )  # fmt: skip
 
         self._run(add, len(pieces), tick)
@@ -269,7 +272,7 @@ class Interpreted:
             counted[task] = _numba.sum_tile(
                 coords, blocks, lines is not None, active, geometry, survey.model, survey.kind, flat,
                 summation.places(out.shape[1], np.float32), self.nodes, self.fit, self.half, self.sums[0], self.sums[1],
-                self.pairs, out,
+                self.pairs, *survey.weighing(), out,
             )  # fmt: skip
             image[rows, columns] += out
 

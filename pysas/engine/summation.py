@@ -30,7 +30,8 @@ class Survey:
     """Traces as the kernels want them, coordinates about the scene's centre.
 
     geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,) or None;
-    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,).
+    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,); lattice : weights that change from pixel to pixel, at
+    places (y, x, trace), float32, and view_angles.Lattice.axes, or None.
     """
 
     geometry: FloatArray
@@ -38,11 +39,19 @@ class Survey:
     weights: ComplexArray | None
     kind: int
     model: FloatArray
+    lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
 
     def part(self, begin: int, end: int) -> Survey:
         """Traces [begin, end)."""
         weights = None if self.weights is None else self.weights[begin:end]
-        return Survey(self.geometry[begin:end], self.start[begin:end], weights, self.kind, self.model)
+        lattice = self.lattice
+        if lattice is not None:
+            lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
+        return Survey(self.geometry[begin:end], self.start[begin:end], weights, self.kind, self.model, lattice)
+
+    def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
+        """The lattice as Numba's kernels take it: without traces where there is none."""
+        return (np.empty((4, 4, 0), dtype=np.float32), np.ones(5)) if self.lattice is None else self.lattice
 
 
 @dataclass(frozen=True)
@@ -165,7 +174,11 @@ def accumulate(
         now = time.perf_counter()
         prepared += now - clock
 
-        def add(task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table) -> None:
+        lattice, axes = survey.part(begin, begin + part.size).weighing()
+
+        def add(
+            task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table, lattice: Any = lattice, axes: Any = axes
+        ) -> None:
             tile = tiles[task]
             coords, blocks, active = locate(tile)
             if not active.any():
@@ -175,7 +188,7 @@ def accumulate(
             out = np.zeros((blocks.shape[0], width), dtype=complex_kind)
             terms = _numba.sum_tile(
                 coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, places(width, kind), nodes,
-                fit, half, sines, cosines, pairs, out,
+                fit, half, sines, cosines, pairs, lattice, axes, out,
             )  # fmt: skip
             pixels = (tile.last - tile.first) * (tile.right - tile.left)
             counted[task] += terms * pixels // out.size
