@@ -185,7 +185,7 @@ def virtual_angles(radius: float, wavelength: float, offset: float) -> FloatArra
     radius = _checks.number("radius", radius, positive=True)
     wavelength = _checks.number("wavelength", wavelength, positive=True)
     n = int(np.ceil(4 * np.pi * (1 - _offset(offset)) * radius / wavelength))
-    return -np.pi + (np.arange(n) + 0.5) * (2 * np.pi / n)
+    return np.asarray(-np.pi + (np.arange(n) + 0.5) * (2 * np.pi / n), dtype=np.float64)
 
 
 def angles_for_patch(patch_radius: float, wavelength: float) -> int:
