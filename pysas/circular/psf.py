@@ -241,7 +241,7 @@ class PointSpread:
         x, y = np.broadcast_arrays(_reals("x", x), _reals("y", y))
         far = float(np.max(np.hypot(x, y), initial=0.0))
         n = 4 * int(np.ceil(1024 + 2 * self.k * far))
-        angle = -np.pi + np.arange(n) * (2 * np.pi / n)
+        angle = np.asarray(-np.pi + np.arange(n) * (2 * np.pi / n), dtype=np.float64)
         amplitude = np.asarray(views(angle))
         if amplitude.shape != angle.shape or amplitude.dtype.kind not in "iufc":
             raise ValueError(f"views: expected numbers of shape {angle.shape}, found {amplitude.dtype} {amplitude.shape}")
