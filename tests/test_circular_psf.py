@@ -51,6 +51,12 @@ def test_envelope_is_the_autocorrelation(psf):
         assert abs(total / psf.pulse.energy - psf.envelope(lag * C / 2)) < 2e-5
 
 
+@pytest.mark.parametrize("psf", OTHERS, ids=lambda psf: psf.pulse.window)
+def test_tabulated_envelopes(psf):
+    t = np.concatenate([[0.0, T, -T, 1.2 * T, 1e-9 * T], np.random.default_rng(0).uniform(-T, T, 300)])
+    np.testing.assert_allclose(psf.envelope(t * C / 2), psf.pulse.response(t), atol=1e-8)
+
+
 @pytest.mark.parametrize("psf", [GAUSS, NARROW], ids=("Q = 7.5", "Q = 0.9"))
 def test_exact_is_the_mean_over_the_circle(psf):
     r = np.linspace(0, 8, 201) * WAVE
