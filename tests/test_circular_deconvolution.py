@@ -5,6 +5,8 @@ below the mean power ("mean"). Radii are those of 80 and 95 % of the energy with
 prototype of each method computed them beforehand.
 """
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import scipy.fft
@@ -154,6 +156,15 @@ def test_filters_are_linear_and_keep_dtype():
         single = call(data.astype(np.complex64))
         assert single.dtype == np.complex64
         np.testing.assert_allclose(single, whole, atol=1e-5 * np.abs(whole).max())
+
+
+def test_memory_is_a_few_images():
+    data = np.ones((1024, 1024), np.complex64)
+    tracemalloc.start()
+    circular.wiener(data, PSF, STEP, 1.0, 1.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * data.nbytes
 
 
 # Wave atoms

@@ -125,6 +125,18 @@ def test_on_a_circle_they_are_the_jacobian(a):
     assert weights.mean() == pytest.approx(1, rel=1e-14)
 
 
+@pytest.mark.parametrize("a", (0.99, 1 - 1e-6, 1 - 1e-12))
+def test_a_point_all_but_on_the_track(a):
+    """The half turn that it makes between the two pings beside it is neither's; the others keep the Jacobian's proportions."""
+    tx = scenes.circle(1000, 10.0, start=np.pi / 1000)
+    weights = circular.view_weights(blank(tx), at([10 * a, 0, 0]))[0, :, 0]
+    assert np.isfinite(weights).all() and (weights > 0).all()
+    assert weights.mean() == pytest.approx(1, rel=1e-12)
+    far = np.abs(np.arctan2(tx[:, 1], tx[:, 0])) > 1
+    exact = circular.view_rate(np.arctan2(tx[:, 1], tx[:, 0]), a)[far]
+    np.testing.assert_allclose(weights[far] / exact, np.mean(weights[far] / exact), rtol=1e-3)
+
+
 def test_beam():
     tx = scenes.circle(360, 10.0)
     echoes = blank(tx, beam=pysas.Beam(boresight=-tx, length=0.1, half_angle=0.3))
