@@ -239,6 +239,15 @@ def test_one_scatterer():
     assert found.residual == pytest.approx(1, abs=0.02)
 
 
+def test_one_scatterer_at_0_db():
+    """Its amplitude stands 7 deviations above its error, sqrt(sum PSF^2) = sqrt(51): found, and near its place."""
+    for seed in range(5):
+        found = circular.fit_points(image([CENTRE], [1], 1.0, seed), PSF, STEP, 1.0)
+        assert len(found.position) == 1
+        assert distances(found, np.array([CENTRE])).max() < 0.1
+        assert found.amplitude[0] == pytest.approx(1, abs=4 / np.sqrt(51))
+
+
 @pytest.mark.parametrize(("snr", "error"), [(60, 1e-4), (30, 2e-3), (20, 6e-3), (10, 2e-2)])
 @pytest.mark.parametrize("complex_", (False, True), ids=("real", "complex"))
 def test_the_papers_square(snr, error, complex_):

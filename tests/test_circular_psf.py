@@ -71,6 +71,20 @@ def test_exact_of_pulses_that_end(psf):
     np.testing.assert_allclose(psf.exact(r), turned(psf, r, 1024), atol=1e-6)
 
 
+@pytest.mark.parametrize("waves", (0.3, 2.0, 9.0, 80.0))
+def test_exact_of_a_rectangular_window_to_rounding(waves):
+    """Adaptive quadrature of Eq 19 over a quarter turn, or over the pulse where it ends sooner."""
+    r = waves * WAVE
+    first = np.arccos(min(1.0, C * T / 2 / r))
+
+    def integrand(theta):
+        x = r * np.cos(theta)
+        return float(RECT.pulse.response(2 * x / C) * np.cos(2 * RECT.k * x))
+
+    value, _ = quad(integrand, first, np.pi / 2, limit=2000, epsabs=1e-13, epsrel=0)
+    assert RECT.exact(r) == pytest.approx(2 / np.pi * value, abs=1e-12)
+
+
 def test_exact_beyond_the_pulse():
     reach = C * T / 2
     far = reach * np.array([0.99, 1.5])

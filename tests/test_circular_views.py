@@ -223,6 +223,42 @@ def test_resampled_sum_and_weighted_sum_agree(off_centre):
     assert np.abs(plain - weighted).max() == pytest.approx(np.abs(dense.imag).max(), rel=0.05)
 
 
+def weighted(echoes, grid):
+    return circular.weighted_sum(echoes, grid, circular.view_weights(echoes, grid)) / (echoes.n_ping * echoes.n_channel)
+
+
+RADIUS = 200.0  # k r^2/R of phase at the corners of +-1.5 wavelengths, r = 32 mm: 2e-3
+
+
+def test_open_circle_off_the_centre():
+    """230 degrees seen from a = 0.4: the point spread of the views it has, each as often as the next."""
+    tx = scenes.circle(600, RADIUS)[:383]
+    centre = (0.0, 0.4 * RADIUS)
+    echoes = scenes.echoes(tx, None, [*centre, 0.0], 0.15)
+    grid, x = scenes.patch(centre, 1.5 * scenes.WAVE, 6)
+    seen = np.unwrap(np.arctan2(tx[:, 1] - centre[1], tx[:, 0]))
+    low, high = seen[0] - (seen[1] - seen[0]) / 2, seen[-1] + (seen[-1] - seen[-2]) / 2
+    exact = PSF.image(x, x[:, None], lambda view: (np.mod(view - low, 2 * np.pi) < high - low).astype(float))
+    found, plain = weighted(echoes, grid), circular.weighted_sum(echoes, grid) / 383
+    assert pysas.metrics.relative_error(found, exact) < 1e-3
+    assert pysas.metrics.relative_error(plain, exact) > 0.2
+
+
+def test_uneven_array_on_an_ellipse():
+    """Speed and distance vary along the track, three receivers trail unevenly: with the weights it is the full circle's PSF."""
+    t = np.arange(260) * 2 * np.pi / 260
+    t = t + 0.3 * np.sin(t) + 0.1 * np.cos(3 * t)
+    centre = (0.1 * RADIUS, -0.3 * RADIUS)
+    tx = np.stack([RADIUS * np.cos(t), 0.8 * RADIUS * np.sin(t), 0 * t], axis=1)
+    along = np.stack([-np.sin(t), 0.8 * np.cos(t), 0 * t], axis=1)
+    rx = tx[:, None] + along[:, None] * np.array([0.0, 1.5, 4.0])[:, None]
+    echoes = scenes.echoes(tx, rx, [*centre, 0.0], 0.15)
+    grid, x = scenes.patch(centre, 1.5 * scenes.WAVE, 6)
+    exact = PSF.exact(np.hypot(x, x[:, None]))
+    assert pysas.metrics.relative_error(weighted(echoes, grid), exact) < 6e-4
+    assert pysas.metrics.relative_error(circular.weighted_sum(echoes, grid) / 780, exact) > 0.4
+
+
 def test_gain_of_the_printed_sum_changes_with_the_pixel(off_centre):
     echoes, grid, _ = off_centre
     printed = circular.resampled_sum(echoes, grid, normalised=False)

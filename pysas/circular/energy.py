@@ -47,7 +47,7 @@ def energy_within(psf: PointSpread, r: npt.ArrayLike, form: str = "exact") -> Fl
     -----
     Misprints: B(r) in Eqs 33-37 stands for B(2r/c), and Eq 38 has erf(a0 r), which is not even a number. The exact PSF of a
     pulse with any content at zero frequency falls as 1/r in the end, so that its energy has no limit; for windows in use
-    that lies below 1e-12. By a cubic spline through 64 samples per wavelength, to 1e-8; O(max(r)/wavelength) samples.
+    that lies below 1e-12. By a cubic spline through 64 samples per wavelength, to 1e-6; O(max(r)/wavelength) samples.
     """
     _psf(psf)
     _checks.choice("form", form, FORMS)
