@@ -123,7 +123,8 @@ class PointSpread:
         r = np.abs(_reals("r", r))
         flat = r.ravel()
         first = np.arccos(np.minimum(1, self._reach / np.maximum(flat, self._reach)))
-        cycles = self.ring_radius * np.minimum(flat, self._reach)
+        highest = 2 / self.c * (self.pulse.fc + self.pulse.occupied_bandwidth / 2)
+        cycles = highest * np.minimum(flat, self._reach)
         total = np.empty(flat.size)
         order = np.argsort(cycles)
         while order.size:
