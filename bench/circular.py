@@ -160,7 +160,9 @@ def validation():
             cells.append(values.max() / values.min())
         rows.append((a, pings, *(f"{cell:.1e}" for cell in cells[:4]), *(f"{cell:.2f}" for cell in cells[4:])))
     print("\nFull circle, +-2 wavelengths about a point: relative L2 error of the complex image against Eq 19 with the views'")
-    print("density (plain) or without (even views); what remains is the wavefront's curvature, as 1/R; ring max/min over angle")
+    print(
+        "density (plain) or without (even views); left: the wavefront's curvature, as 1/R, and the arcs of few views; ring max/min"
+    )
     head = ("a", "pings", "10 m, plain", "10 m, even", "56.6 m, plain", "56.6 m, even", "ring, plain", "ring, even")
     table(head, rows)
     by_tol()
@@ -171,7 +173,9 @@ def validation():
         echoes, grid, x, weights = off_centre(0.0, 1000.0, pings, half, 16)
         found = imaged(echoes, grid, weights)
         rows.append((pings, f"{share:.1f}", f"{error(found, GAUSS.exact(np.hypot(x, x[:, None]))):.1e}"))
-    print("\nThe same at a = 0, R = 1 km, by number of pings; 2 k r is that of the patch's corner")
+    print(
+        "\nFull circle, a = 0, R = 1 km, +-2 wavelengths against Eq 19 by number of pings; 2 k r is that of the patch's corner"
+    )
     table(("pings", "pings/(2 k r)", "error"), rows)
 
 
