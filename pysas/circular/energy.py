@@ -6,7 +6,6 @@ Pailhas et al., JASA 141 (2017), Eqs 22-38.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,10 @@ from scipy.special import erf, ive
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.circular.psf import PointSpread
+from pysas.circular.psf import PointSpread, warn_of_low_quality
 
 FORMS = ("exact", "approximate", "asymptotic")
-_PER_WAVELENGTH = 64  # samples of J0(2 k r)^2, whose period is a quarter wavelength
+_PER_WAVELENGTH = 64  # samples to the shortest of the band: J0(2 k r)^2 has a period of a quarter of one
 
 
 def energy_within(psf: PointSpread, r: npt.ArrayLike, form: str = "exact") -> FloatArray:
@@ -47,7 +46,8 @@ def energy_within(psf: PointSpread, r: npt.ArrayLike, form: str = "exact") -> Fl
     -----
     Misprints: B(r) in Eqs 33-37 stands for B(2r/c), and Eq 38 has erf(a0 r), which is not even a number. The exact PSF of a
     pulse with any content at zero frequency falls as 1/r in the end, so that its energy has no limit; for windows in use
-    that lies below 1e-12. By a cubic spline through 64 samples per wavelength, to 1e-6; O(max(r)/wavelength) samples.
+    that lies below 1e-12. By a cubic spline through 64 samples to the shortest
+    wavelength of the band, to 1e-6; O(max(r)/wavelength) samples.
     """
     _psf(psf)
     _checks.choice("form", form, FORMS)
@@ -58,9 +58,9 @@ def energy_within(psf: PointSpread, r: npt.ArrayLike, form: str = "exact") -> Fl
     if form == "asymptotic" and psf.pulse.window == "gaussian":
         return np.asarray(asymptotic_energy(psf) * erf(r / psf.gaussian_width))
     if form == "asymptotic":
-        _warn(psf, "Eq 37")
+        warn_of_low_quality(psf, "Eq 37")
     far = float(np.max(r, initial=0.0)) or psf.wavelength
-    s = np.linspace(0, far, 16 + int(np.ceil(_PER_WAVELENGTH * far / psf.wavelength)))
+    s = np.linspace(0, far, 16 + int(np.ceil(_PER_WAVELENGTH * far / psf.shortest_wavelength)))
     if form == "asymptotic":
         density = psf.envelope(s) ** 2 / psf.k
     else:
@@ -77,7 +77,7 @@ def energy(psf: PointSpread) -> float:
 def asymptotic_energy(psf: PointSpread) -> float:
     """sqrt(pi) a0/(2 k), m^2: Eq 32 for a Gaussian. Warns where Q < 2."""
     a0 = _psf(psf).gaussian_width
-    _warn(psf, "Eq 32")
+    warn_of_low_quality(psf, "Eq 32")
     return float(np.sqrt(np.pi) * a0 / (2 * psf.k))
 
 
@@ -103,11 +103,12 @@ def resolution(psf: PointSpread, share: float, within: float, form: str = "exact
     ValueError, TypeError
         An argument outside its range.
     """
+    _psf(psf)
     share = _checks.number("share", share, positive=True)
     if share >= 1:
         raise ValueError(f"share={share!r}: expected a number in (0, 1)")
     within = _checks.number("within", within, positive=True)
-    r = np.linspace(0, within, 16 + int(np.ceil(4 * _PER_WAVELENGTH * within / psf.wavelength)))
+    r = np.linspace(0, within, 16 + int(np.ceil(4 * _PER_WAVELENGTH * within / psf.shortest_wavelength)))
     found = energy_within(psf, r, form)
     # energy never falls; equal neighbours (beyond the pulse) would not be increasing
     return float(np.interp(share * found[-1], found, r))
@@ -138,11 +139,13 @@ def energy_diffusion(
     Raises
     ------
     ValueError, TypeError
-        An argument outside its range, a disc beyond the image, or no energy in it.
+        An argument outside its range, pixels that are not finite, a disc beyond the image, or no energy in it.
     """
     data = _checks.array_like("image", image)
     if data.ndim != 2 or data.dtype.kind not in "iufc":
         raise ValueError(f"image: expected numbers (rows, columns), found {data.dtype} {data.shape}")
+    if not np.isfinite(data).all():
+        raise ValueError("image: expected finite pixels")
     spacing = _checks.number("spacing", spacing, positive=True)
     within = _checks.number("within", within, positive=True)
     place = _checks.reals("centre", centre, [(2,)])
@@ -165,12 +168,3 @@ def _psf(psf: Any) -> PointSpread:
     if not isinstance(psf, PointSpread):
         raise TypeError(f"psf={psf!r}: expected a pysas.circular.PointSpread")
     return psf
-
-
-def _warn(psf: PointSpread, formula: str) -> None:
-    if psf.quality < 2:
-        warnings.warn(
-            f"{formula} is asymptotic in Q = fc/bandwidth; Q = {psf.quality:.2g} is below 2: use the exact form",
-            UserWarning,
-            stacklevel=3,
-        )

@@ -59,6 +59,11 @@ class PointSpread:
         return self.c / self.pulse.fc
 
     @property
+    def shortest_wavelength(self) -> float:
+        """That of the upper end of the occupied band, m: what a sampling of the PSF must resolve."""
+        return self.c / (self.pulse.fc + self.pulse.occupied_bandwidth / 2)
+
+    @property
     def k(self) -> float:
         """One-way wavenumber 2 pi fc/c, rad/m."""
         return 2 * np.pi / self.wavelength
@@ -94,8 +99,13 @@ class PointSpread:
         t = 2 * np.abs(_reals("r", r)) / self.c
         if self.pulse.window in ("rect", "gaussian"):
             return self.pulse.response(t)
-        duration = self.pulse.duration
-        return np.asarray(np.where(t < duration, _response(self.pulse)(np.minimum(t, duration)), 0.0))
+        edges, pieces = _response(self.pulse)
+        place = np.searchsorted(edges, t, side="right") - 1
+        value = np.zeros(t.shape)
+        for number, piece in enumerate(pieces):
+            here = place == number
+            value[here] = piece(t[here])
+        return value
 
     def exact(self, r: npt.ArrayLike) -> FloatArray:
         """I(r)/I(0) by quadrature of Eq 19, relative error of the peak below 1e-12 (Tukey, Taylor: 1e-8).
@@ -123,8 +133,7 @@ class PointSpread:
         r = np.abs(_reals("r", r))
         flat = r.ravel()
         first = np.arccos(np.minimum(1, self._reach / np.maximum(flat, self._reach)))
-        highest = 2 / self.c * (self.pulse.fc + self.pulse.occupied_bandwidth / 2)
-        cycles = highest * np.minimum(flat, self._reach)
+        cycles = 2 / self.shortest_wavelength * np.minimum(flat, self._reach)
         total = np.empty(flat.size)
         order = np.argsort(cycles)
         while order.size:
@@ -161,7 +170,7 @@ class PointSpread:
         The phase is stationary where the sonar looks along `r`, so the envelope there may stand before the integral. Warns
         where Q < 2.
         """
-        self._warn("Eq 21")
+        warn_of_low_quality(self, "Eq 21")
         r = _reals("r", r)
         return np.asarray(self.envelope(r) * j0(2 * self.k * r))
 
@@ -210,7 +219,7 @@ class PointSpread:
 
     def spectrum_asymptotic(self, q: npt.ArrayLike) -> FloatArray:
         """Eq 44: a0/sqrt(2 k q) exp(-2 a0^2 (pi q - k)^2), in m^2, Gaussian windows; infinite at q = 0. Warns where Q < 2."""
-        self._warn("Eq 44")
+        warn_of_low_quality(self, "Eq 44")
         q, a0 = np.abs(_reals("q", q)), self.gaussian_width
         with np.errstate(divide="ignore"):
             return np.asarray(a0 / np.sqrt(2 * self.k * q) * self._ring(q))
@@ -245,7 +254,9 @@ class PointSpread:
         Eq 19 with the amplitude under the integral, by the trapezoidal rule with n = 4096 + 8 k r angles, r the largest
         distance: exact to rounding for smooth amplitudes, to 1/n of a turn for the place of a jump. O(n) per position.
         """
-        x, y = np.broadcast_arrays(_reals("x", x), _reals("y", y))
+        x, y = _positions(x, y)
+        if not callable(views):
+            raise TypeError(f"views={views!r}: expected a function of angles")
         far = float(np.max(np.hypot(x, y), initial=0.0))
         n = 4 * int(np.ceil(1024 + 2 * self.k * far))
         angle = np.asarray(-np.pi + np.arange(n) * (2 * np.pi / n), dtype=np.float64)
@@ -265,24 +276,35 @@ class PointSpread:
             total[part] = (self.envelope(u) * np.exp(-2j * self.k * u)) @ amplitude[kept] / n
         return total.reshape(x.shape)
 
-    def _warn(self, formula: str) -> None:
-        if self.quality < 2:
-            warnings.warn(
-                f"{formula} is asymptotic in Q = fc/bandwidth; Q = {self.quality:.2g} is below 2: use the exact form",
-                UserWarning,
-                stacklevel=3,
-            )
+
+def warn_of_low_quality(psf: PointSpread, formula: str) -> None:
+    """Warn the caller's caller where Q < 2."""
+    if psf.quality < 2:
+        warnings.warn(
+            f"{formula} is asymptotic in Q = fc/bandwidth; Q = {psf.quality:.2g} is below 2: use the exact form",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 @lru_cache(maxsize=8)
-def _response(pulse: LFM) -> BSpline:
-    """The matched-filter response at lags 0 to duration, 16 samples to the period of its bandwidth: 1e-8 by a quintic spline.
+def _response(pulse: LFM) -> tuple[FloatArray, tuple[BSpline, ...]]:
+    """The matched-filter response from lag 0 to the duration: edges between smooth pieces, and a quintic spline of each.
 
-    At lag 0 its slope jumps: a spline of |t| has its end there. For windows whose response costs a quadrature for every lag.
+    To 1e-8, 16 samples to the period of the bandwidth and 64 more, for windows whose response costs a quadrature for every
+    lag. It is smooth but where two of a Tukey window's four kinks meet.
     """
-    n = 32 + 16 * int(np.ceil(abs(pulse.bandwidth) * pulse.duration))
-    t = np.linspace(0, pulse.duration, n)
-    return make_interp_spline(t, pulse.response(t), k=5)
+    edges = np.array([0.0, 1.0])
+    if pulse.window == "tukey" and pulse.window_parameter:
+        taper = pulse.window_parameter
+        edges = np.unique(np.clip([0, taper / 2, 1 - taper, 1 - taper / 2, 1], 0, 1))
+    edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9])] * pulse.duration
+    edges[-1] = pulse.duration
+    pieces = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        t = np.linspace(low, high, 64 + 16 * int(np.ceil(abs(pulse.bandwidth) * (high - low))))
+        pieces.append(make_interp_spline(t, pulse.response(t), k=5))
+    return edges, tuple(pieces)
 
 
 def sigmas_of_width(width: float, bandwidth: float, duration: float, c: float = 1500.0) -> tuple[float, float]:
@@ -332,3 +354,12 @@ def sigmas_of_width(width: float, bandwidth: float, duration: float, c: float = 
 def _reals(name: str, value: npt.ArrayLike) -> FloatArray:
     array = _checks.array_like(name, value)
     return _checks.reals(name, array, [array.shape])
+
+
+def _positions(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    x, y = _reals("x", x), _reals("y", y)
+    try:
+        x, y = np.broadcast_arrays(x, y)
+    except ValueError:
+        raise ValueError(f"x, y: expected shapes that broadcast together, found {x.shape} and {y.shape}") from None
+    return x, y
