@@ -68,11 +68,23 @@ def test_transfer_function_is_that_of_the_sampled_image():
 def test_transfer_function_of_windows_without_closed_form(window):
     psf = circular.PointSpread(pysas.LFM(100e3, 20e3, 1e-3, window), 1500.0)
     found = circular.transfer(psf, (40, 64), STEP)
-    q = np.hypot(scipy.fft.fftfreq(64, STEP), scipy.fft.fftfreq(40, STEP)[:, None])[:, 5]
-    error = np.abs(found[:, 5] * STEP**2 - psf.spectrum(q)) / psf.spectrum(psf.ring_radius)
+    q = np.hypot(scipy.fft.fftfreq(64, STEP), scipy.fft.fftfreq(40, STEP)[:, None])[:21, 5]
+    error = np.abs(found[:21, 5] * STEP**2 - psf.spectrum(q)) / psf.spectrum(psf.ring_radius)
     band = np.abs(q - psf.ring_radius) < 3 * 20e3 * 2 / 1500
     assert band.sum() > 5 and error[band].max() < 1e-6
     assert error.max() < 5e-6  # the edges of the Taylor window, 3 bandwidths away
+
+
+@pytest.mark.parametrize(("window", "parameter"), [("tukey", 0.1), ("tukey", 1.0), ("taylor", 35.0)])
+def test_transfer_function_of_tones(window, parameter):
+    """A sweep of 1 Hz in 0.1 ms: the band is that of the duration."""
+    psf = circular.PointSpread(pysas.LFM(100e3, 1.0, 1e-4, window, parameter), 1500.0)
+    found = circular.transfer(psf, (32, 24), STEP) * STEP**2
+    q = np.hypot(scipy.fft.fftfreq(24, STEP), scipy.fft.fftfreq(32, STEP)[:, None])
+    error = np.abs(found - psf.spectrum(np.maximum(q, 1e-3)))[1:] / psf.spectrum(psf.ring_radius)
+    band = np.abs(q[1:] - psf.ring_radius) < 10 * 2 / (1500 * 1e-4)
+    assert band.sum() > 100 and error[band].max() < 1e-6
+    assert error.max() < 2e-4  # 1/(pi f duration)^2 of what lies beyond, at most
 
 
 def test_zero_frequency_is_the_mean_over_its_cell():
@@ -278,6 +290,15 @@ def test_ten_scatterers():
     assert distances(found, truth).max() < 6e-3
 
 
+def test_a_scene_that_is_not_of_points_comes_to_an_end():
+    """Noise said to be a tenth of what it is: every wave of it looks like one more scatterer."""
+    data = image([(32, 32)], [1], 0.3, n=64)
+    with pytest.warns(UserWarning, match=r"stopped at 5 scatterers.*noise=0\.03"):
+        found = circular.fit_points(data, PSF, STEP, 0.03, most=5)
+    assert len(found.position) == 5 and found.residual > 2
+    assert len(circular.fit_points(data, PSF, STEP, 0.3, most=1).position) == 1  # as many as there are: nothing to say
+
+
 @pytest.mark.parametrize("separation", (0.5, 0.25, 0.15))
 def test_pairs(separation):
     truth = np.array(CENTRE) + np.array([(-8 * separation, 0.2), (8 * separation, 0.2)])
@@ -329,7 +350,11 @@ def test_a_psf_larger_than_the_image():
         (lambda: circular.wave_atom_expansion(ONE, PSF, STEP, (1.0,)), ValueError, "centre: expected shape"),
         (lambda: circular.fit_points(ONE, PSF, STEP, -1.0), ValueError, "noise=-1.0"),
         (lambda: circular.synthesise(None, PSF, (4, 4), STEP), TypeError, "scatterers=None"),
+        (lambda: circular.fit_points(ONE, PSF, STEP, 1.0, 0), ValueError, "most=0"),
         (lambda: circular.transfer(PSF, (0, 4), STEP), ValueError, "shape=0"),
+        (lambda: circular.transfer(PSF, 4, STEP), ValueError, r"shape=4: expected \(rows, columns\)"),
+        (lambda: circular.transfer(PSF, (4, 4, 4), STEP), ValueError, r"shape=\(4, 4, 4\): expected \(rows"),
+        (lambda: circular.wave_atom(PSF, np.zeros(3), np.zeros(4), 0.0), ValueError, "x, y: expected shapes that broadcast"),
     ],
 )
 def test_what_cannot_be_is_named(call, error, text):

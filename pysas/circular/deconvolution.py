@@ -18,12 +18,13 @@ from scipy.special import j0
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.circular.psf import PointSpread, _reals
+from pysas.circular.psf import PointSpread, _positions, _reals
 
 ATOMS = 64
 # Bandwidths from fc within which windows without closed form count; power beyond, relative to the largest: 4e-6 for the
 # Taylor window, less for Tukey's 0.1, 2e-4 for a Tukey window that is all but rectangular.
 _BANDS = 3
+_TONE = 12  # and so many of 1/duration, which a pulse has without any sweep: what a Tukey window of 0.1 has beyond is 1e-4
 _EDGE = 1e-3  # of the largest value: what the transfer function may still have beyond the sampled band
 
 Pixels = npt.NDArray[Any]
@@ -57,7 +58,7 @@ def transfer(psf: PointSpread, shape: tuple[int, int], spacing: float) -> FloatA
     if not isinstance(psf, PointSpread):
         raise TypeError(f"psf={psf!r}: expected a pysas.circular.PointSpread")
     spacing = _checks.number("spacing", spacing, positive=True)
-    rows, columns = (_checks.whole("shape", n) for n in shape)
+    rows, columns = _rows_and_columns(shape)
     nyquist = 1 / (2 * spacing)
     if nyquist < psf.ring_radius or psf.spectrum(nyquist) > _EDGE * psf.spectrum(psf.ring_radius):
         raise ValueError(
@@ -179,7 +180,7 @@ def wave_atom(psf: PointSpread, x: npt.ArrayLike, y: npt.ArrayLike, angle: float
     The spectrum of J0 fills the whole of -2k..2k: an atom is a ridge through the origin with maxima on the ring, 54 % of its
     energy there (sigma = 2e-5 s), not the two spots that Fig 6(b) draws.
     """
-    x, y = np.broadcast_arrays(_reals("x", x), _reals("y", y))
+    x, y = _positions(x, y)
     angle = _checks.number("angle", angle)
     return np.asarray(_envelope(psf, np.hypot(x, y), envelope_power) * j0(2 * psf.k * (x * np.cos(angle) - y * np.sin(angle))))
 
@@ -273,7 +274,7 @@ def _radial(psf: PointSpread, q: FloatArray) -> FloatArray:
     if psf.pulse.window in ("rect", "gaussian"):
         return psf.spectrum(q)
     # |S|^2 of a pulse of length T is band-limited in q, to c T/2: four samples for each that it needs, by a quintic spline
-    half = _BANDS * abs(psf.pulse.bandwidth) * 2 / psf.c
+    half = (_BANDS * abs(psf.pulse.bandwidth) + _TONE / psf.pulse.duration) * 2 / psf.c
     low, high = max(float(q.min()), psf.ring_radius - half), min(float(q.max()), psf.ring_radius + half)
     table = np.linspace(low, high, 16 + int(4 * psf.c * psf.pulse.duration * (high - low)))
     spline = make_interp_spline(table, table * psf.spectrum(table), k=5)
@@ -302,3 +303,10 @@ def _image(image: npt.ArrayLike) -> Pixels:
 
 def _shape(data: Pixels) -> tuple[int, int]:
     return int(data.shape[0]), int(data.shape[1])
+
+
+def _rows_and_columns(shape: Any) -> tuple[int, int]:
+    if not isinstance(shape, tuple | list) or len(shape) != 2:
+        raise ValueError(f"shape={shape!r}: expected (rows, columns)")
+    rows, columns = (_checks.whole("shape", n) for n in shape)
+    return rows, columns

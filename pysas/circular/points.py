@@ -7,6 +7,7 @@ invented.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from scipy.optimize import least_squares
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.circular.deconvolution import _image, _shape, transfer, wave_atom_kernel
+from pysas.circular.deconvolution import _image, _rows_and_columns, _shape, transfer, wave_atom_kernel
 from pysas.circular.psf import PointSpread
 
 # Fall of chi-squared that a scatterer must bring: 5.5 deviations of a real amplitude, and as rare in the two components of a
@@ -45,7 +46,7 @@ class Scatterers:
     residual: float
 
 
-def fit_points(image: npt.ArrayLike, psf: PointSpread, spacing: float, noise: float) -> Scatterers:
+def fit_points(image: npt.ArrayLike, psf: PointSpread, spacing: float, noise: float, most: int = 64) -> Scatterers:
     """Point scatterers whose images add up to `image`, as many as the noise lets one tell.
 
     Parameters
@@ -58,6 +59,9 @@ def fit_points(image: npt.ArrayLike, psf: PointSpread, spacing: float, noise: fl
         Between pixels, m.
     noise : float
         Root mean square of the noise of a pixel, > 0; white.
+    most : int
+        Number of scatterers to stop at, with a warning if one more would still bring enough: a scene that is not made of
+        points, or whose noise is stated too low, has no last one.
 
     Returns
     -------
@@ -77,10 +81,11 @@ def fit_points(image: npt.ArrayLike, psf: PointSpread, spacing: float, noise: fl
 
     Limits: equal scatterers 0.30 to 0.35 wavelengths apart, where one lies in the first negative lobe of the other, are often
     fitted by wrong ones; nearer and farther pairs are told apart. A continuous seabed is not made of points: use `wiener`.
-    O(n^3 band) for n scatterers and `band` frequencies on the ring.
+    O(n^3 band) for n scatterers and `band` frequencies on the ring, of which some n arrays are held.
     """
     data = _image(image)
     noise = _checks.number("noise", noise, positive=True)
+    most = _checks.whole("most", most)
     model = _Model(data, psf, spacing)
     # a complex pixel's noise has two components of half the power each
     scale = (1 if model.real else 2) / noise**2
@@ -93,6 +98,14 @@ def fit_points(image: npt.ArrayLike, psf: PointSpread, spacing: float, noise: fl
         tried_amplitude, tried_rest = model.solve(tried)
         tried_chi2 = scale * float(np.vdot(tried_rest, tried_rest).real)
         if not chi2 - tried_chi2 > gain:
+            break
+        if len(position) == most:
+            warnings.warn(
+                f"stopped at {most} scatterers though one more lowers chi-squared: a scene that is not of points, or more "
+                f"noise than noise={noise:g}",
+                UserWarning,
+                stacklevel=2,
+            )
             break
         position, amplitude, rest, chi2 = tried, tried_amplitude, tried_rest, tried_chi2
     residual = float(np.sqrt(np.mean(np.abs(rest) ** 2))) / noise
@@ -130,7 +143,7 @@ def synthesise(
     if not isinstance(scatterers, Scatterers):
         raise TypeError(f"scatterers={scatterers!r}: expected pysas.circular.Scatterers")
     spacing = _checks.number("spacing", spacing, positive=True)
-    rows, columns = (_checks.whole("shape", n) for n in shape)
+    rows, columns = _rows_and_columns(shape)
     image = np.zeros((rows, columns), dtype=scatterers.amplitude.dtype)
     for (x, y), amplitude in zip(scatterers.position, scatterers.amplitude, strict=True):
         away = spacing * np.hypot(np.arange(columns) - x, (np.arange(rows) - y)[:, None])
