@@ -66,7 +66,7 @@ def test_transfer_function_is_that_of_the_sampled_image():
 
 @pytest.mark.parametrize("window", ("tukey", "taylor"))
 def test_transfer_function_of_windows_without_closed_form(window):
-    psf = circular.PointSpread(pysas.LFM(100e3, 20e3, 1e-3, window), 1500.0)
+    psf = circular.PointSpread(pysas.LFM(100e3, 20e3, 0.5e-3, window), 1500.0)
     found = circular.transfer(psf, (40, 64), STEP)
     q = np.hypot(scipy.fft.fftfreq(64, STEP), scipy.fft.fftfreq(40, STEP)[:, None])[:21, 5]
     error = np.abs(found[:21, 5] * STEP**2 - psf.spectrum(q)) / psf.spectrum(psf.ring_radius)
@@ -193,6 +193,8 @@ def test_an_atom_is_a_ridge():
     order = np.argsort(q)
     found = np.interp([0, 1, 1.5, 1.8, 2.0, 2.2], q[order], line[order])
     np.testing.assert_allclose(found, (0.33, 0.39, 0.51, 0.86, 0.86, 0.10), atol=0.012)
+    on_ring = np.abs(np.hypot(q, q[:, None]) - 2) < 3 * WAVE / (2 * np.pi * PSF.gaussian_width)
+    assert np.sum(spectrum[on_ring] ** 2) / np.sum(spectrum**2) == pytest.approx(0.54, abs=5e-3)
     np.testing.assert_allclose(circular.wave_atom(PSF, x, x[:, None], np.pi), atom, atol=1e-12)
 
 
@@ -210,7 +212,7 @@ def test_the_mean_of_the_atoms_is_the_kernel(atoms, error):
 
 
 @pytest.mark.parametrize(("power", "expected"), [(1, (0.590, 1.149)), (2, (0.283, 0.736))])
-@pytest.mark.parametrize("noise", NOISE)
+@pytest.mark.parametrize("noise", ("none", "peak"))
 def test_expansion_about_a_scatterer_gives_the_kernel_whatever_the_noise(power, expected, noise):
     """Fig 9 states 0.25 and 0.75 wavelengths: not Eq 48 as printed, but its envelope squared (a conjecture)."""
     found = circular.wave_atom_expansion(image([CENTRE], [1], NOISE[noise]), PSF, STEP, CENTRE, envelope_power=power)
@@ -262,12 +264,13 @@ def test_one_scatterer_at_0_db():
 
 @pytest.mark.parametrize(("snr", "error"), [(60, 1e-4), (30, 2e-3), (20, 6e-3), (10, 2e-2)])
 @pytest.mark.parametrize("complex_", (False, True), ids=("real", "complex"))
-def test_the_papers_square(snr, error, complex_):
+@pytest.mark.parametrize("seeds", (range(1), pytest.param(range(1, 6), marks=pytest.mark.slow)), ids=("one", "more"))
+def test_the_papers_square(snr, error, complex_, seeds):
     """Errors of the prototype: 1.3e-3 wavelengths at 30 dB, 4e-3 at 20, 1.4e-2 at 10; none missed, none invented."""
     noise = 10 ** (-snr / 20)
     truth = SQUARE + 0.3
     amplitude = np.array([1, 1j, -1, 0.7 - 0.7j]) if complex_ else np.ones(4)
-    for seed in range(3):
+    for seed in seeds:
         found = circular.fit_points(image(truth, amplitude, noise, seed, complex_), PSF, STEP, noise)
         assert len(found.position) == 4
         assert distances(found, truth).max() < error
