@@ -310,6 +310,15 @@ def test_pairs(separation):
     assert distances(found, truth).max() < 5e-3
 
 
+@pytest.mark.parametrize("separation", (0.3, 0.35))
+def test_pairs_in_the_negative_lobe_are_the_limit(separation):
+    """Not told apart, and the residual says so: noise alone would leave 1 +- 1/sqrt(2 x 2700 frequencies)."""
+    truth = np.array(CENTRE) + np.array([(-8 * separation, 0.2), (8 * separation, 0.2)])
+    with pytest.warns(UserWarning, match="stopped at 3 scatterers"):
+        found = circular.fit_points(image(truth, [1, 1], PEAK, 2), PSF, STEP, PEAK, most=3)
+    assert found.residual > 1.05
+
+
 def test_synthesis_stands_at_the_scatterers():
     """Largest false maximum 0.36 (envelope once) and 0.32 (squared), against 0.63 in the image itself."""
     found = circular.fit_points(image(SQUARE, np.ones(4), PEAK, 1), PSF, STEP, PEAK)
