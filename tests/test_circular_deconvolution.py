@@ -286,6 +286,7 @@ def test_nothing_is_found_in_noise(complex_):
         assert found.position.shape == (0, 2) and found.residual == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_ten_scatterers():
     rng = np.random.default_rng(1)
     truth = N / 2 + rng.uniform(-48, 48, (10, 2))

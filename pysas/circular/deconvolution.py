@@ -193,6 +193,23 @@ def wave_atom_kernel(psf: PointSpread, r: npt.ArrayLike, envelope_power: int = 1
     1, as printed, 80 and 95 % of its energy lie within 0.590 and 1.149 wavelengths (sigma = 2e-5 s), with p = 2 within 0.283
     and 0.736; Fig 9 states 0.25 and 0.75. That p = 2 matches was found afterwards, among some 20 candidates: it is a
     conjecture about the paper.
+
+    Parameters
+    ----------
+    psf : PointSpread
+    r : array_like
+        Distance from the centre, m.
+    envelope_power : {1, 2}
+        p; 1 as printed.
+
+    Returns
+    -------
+    float64, the shape of `r`
+
+    Raises
+    ------
+    ValueError, TypeError
+        Distances that are not finite reals, another power.
     """
     r = np.abs(_reals("r", r))
     return np.asarray(_envelope(psf, r, envelope_power) * j0(psf.k * r) ** 2)

@@ -99,7 +99,7 @@ def resampled_sum(echoes: Echoes, grid: Grid, *, normalised: bool = True) -> Com
     I(O') = (2 pi/N') sum over n of s at h^-1(theta'_n), read at t = 2 |S O'|/c, from the ping nearest to h^-1(theta'_n) with
     that ping's own position. Misprints: the paper omits 1/N', so that the gain changes with N' from pixel to pixel, and
     has t = |S O'|/c. `weighted_sum` with `view_weights` gives the same image (times N/(2 pi)) from all pings.
-    O(N') per pixel.
+    O(N') per pixel; a count for each (pixel, ping) is held.
     """
     _compressed(echoes)
     if not isinstance(grid, Grid):
