@@ -293,6 +293,30 @@ def speed():
     grid = pysas.Grid.plane(np.linspace(3, 4, 32), np.linspace(3, 4, 32))
     rows.append(("view weights", "1024 pixels, 2000 pings", f"{timed(lambda: circular.view_weights(echoes, grid)):.2f}", ""))
     table(("call", "size", "seconds", "memory, images"), rows)
+    weights_cost()
+
+
+def weights_cost():
+    """What weights uniform in view angle cost the engines: medians of interleaved calls, planning included."""
+    tx = track(2048, 20.0)
+    data = np.random.default_rng(0).standard_normal((2048, 2 * 1200)).astype(np.float32).view(np.complex64)
+    echoes = pysas.Echoes(data, fs=26e3, fc=60e3, tx=tx, rx=tx, c=C, t0=2 * 6 / C, bandwidth=20e3)
+    x = 0.02 * (np.arange(512) - 256)
+    grid, rows = pysas.Grid.plane(x, x), []
+    for method in ("backproject", "ffbp"):
+        for tol in (1e-2, 1e-3, 1e-4):
+            seconds = {None: [], "uniform-angle": []}
+            for _ in range(5):
+                for weights, found in seconds.items():
+                    clock = time.perf_counter()
+                    image = getattr(pysas, method)(echoes, grid, tol=tol, weights=weights, threads=1)
+                    found.append((time.perf_counter() - clock, image.report.sum_seconds))
+            plain, even = (np.median(found, axis=0) for found in seconds.values())
+            error = image.report.choices["errors"]["view angles"]
+            rows.append((method, tol, *(f"{v:.2f}" for v in (*plain, *even, *even / plain)), f"{error:.1e}"))
+    head = ("method", "tol", "plain, s", "its sum", "even, s", "its sum", "ratio", "of sums", "error of weights")
+    print("\nuniform-angle: 2048 pings at 20 m, 512 x 512 pixels of 2 cm, one thread")
+    table(head, rows)
 
 
 def timed(call):

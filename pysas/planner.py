@@ -163,7 +163,7 @@ def _weigh(scene: Scene, grid: Grid, error: float, tree: bool, threads: int) -> 
     node = _node(scene) if tree else 0.0  # which also lie around the image
     stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
     scene.lattice = view_angles.lattice(scene, grid, error, LONGEST_BLOCK / 2 * node, stretch, threads)
-    return min(error, scene.lattice.error)
+    return min(error, float(scene.lattice.error))
 
 
 def _node(scene: Scene) -> float:

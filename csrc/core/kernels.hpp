@@ -68,10 +68,11 @@ struct Terms {
 };
 
 constexpr int weight_nodes = 5;
+constexpr int least_width = 16;  // pixels that weights are looked up over, if a block has fewer: those of a vector
 
 // Weights of a tile's terms: of `n_trace` traces at each of (lines, columns) places. Lines: all, or weight_nodes evenly
 // spaced from the first to the last, of whose values a row's are sums with its factors. Columns: all pixels, or
-// weight_nodes evenly spaced along a block.
+// weight_nodes evenly spaced along a block, or along least_width pixels if that is more.
 template <typename Real>
 struct Weights {
     const Real* value;

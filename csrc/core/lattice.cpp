@@ -91,7 +91,7 @@ const Weights<Real>* TileWeights<Real>::of_lines(const Terms<Real>& terms, const
     }
     const bool few =
         uneven <= 1e-6 * wide && std::hypot(last[0] - lines[0], last[1] - lines[1]) <= terms.lattice->longest;
-    const int chosen = few ? weight_nodes : rows;
+    const int chosen = few ? weight_nodes : rows, width = std::max(count, least_width);
     double x[weight_nodes * tile_rows], y[weight_nodes * tile_rows];
     for (int k = 0; k < chosen; ++k) {
         const double share = static_cast<double>(k) / (weight_nodes - 1);
@@ -99,7 +99,7 @@ const Weights<Real>* TileWeights<Real>::of_lines(const Terms<Real>& terms, const
             double at[2];
             for (int axis = 0; axis < 2; ++axis) {
                 const double first = few ? lines[axis] + share * (last[axis] - lines[axis]) : lines[6 * k + axis];
-                at[axis] = first + j * (count - 1) * lines[(few ? 0 : 6 * k) + 3 + axis] / (weight_nodes - 1);
+                at[axis] = first + j * (width - 1) * lines[(few ? 0 : 6 * k) + 3 + axis] / (weight_nodes - 1);
             }
             x[weight_nodes * k + j] = at[0];
             y[weight_nodes * k + j] = at[1];

@@ -142,7 +142,7 @@ void levels(const Weights<typename V::real>& weights, std::int64_t trace, int ro
         const vec p4 = V::mul(third, V::fnma(V::set(4), even1, even2));
         const vec p3 = V::mul(third, V::fnma(V::set(2), odd1, odd2));
         const vec p[weight_nodes] = {middle, V::sub(odd2, p3), V::sub(even2, p4), p3, p4};
-        const double length = count > 1 ? count - 1 : 1;
+        const double length = (count > least_width ? count : least_width) - 1;
         const real wide = static_cast<real>((V::n - 1) / length);
         for (int s = 0; s * V::n < count; ++s) {
             // value, slope and curve in a vector's middle, by dividing by what leads to it again and again

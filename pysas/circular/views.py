@@ -68,7 +68,7 @@ def view_weights(echoes: Echoes, grid: Grid, pixels: npt.ArrayLike | None = None
     Parameters
     ----------
     echoes : Echoes
-        Its geometry; samples are not looked at. Terms outside its beam weigh 0 and are nobody's neighbours.
+        Its geometry; samples are not looked at. Terms outside its beam weigh 0.
     grid : Grid
     pixels : (n,) integers, optional
         Flat indices (C order) of the pixels wanted; default: all.
@@ -86,10 +86,11 @@ def view_weights(echoes: Echoes, grid: Grid, pixels: npt.ArrayLike | None = None
     Notes
     -----
     The views of a pixel are sorted by angle, and each has the arc from half-way to its neighbour on one side to half-way on
-    the other (a Voronoi cell of the circle). Views within 1e-9 rad of each other share one arc. A gap more than 4 times as
-    wide as any of the 2 channel + 2 gaps before it, or any of those after it, is an opening - the end of a track, a missing
-    sector - and belongs to nobody: the views at its ends have arcs twice their inner half. A lone view between two openings
-    has the median arc. Receivers are taken where they are at transmission. O(view log view) per pixel.
+    the other (a Voronoi cell of the circle), whether or not a beam lights the pixel from there. Views within 1e-9 rad of
+    each other share one arc. A gap more than 4 times as wide as any of the 2 channel + 2 gaps before it, or any of those
+    after it, is an opening - the end of a track, a missing sector - and belongs to nobody: the views at its ends have arcs
+    twice their inner half. A lone view between two openings has the median arc. Receivers are taken where they are at
+    transmission. O(view log view) per pixel.
     """
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={echoes!r}: expected pysas.Echoes")
@@ -97,11 +98,12 @@ def view_weights(echoes: Echoes, grid: Grid, pixels: npt.ArrayLike | None = None
         raise TypeError(f"grid={grid!r}: expected a pysas.Grid")
     points = grid.coordinates(pixels)
     angles = view_angles(echoes.tx, echoes.receivers, points)
-    counts = np.isfinite(angles) & _in_beam(echoes, points)[..., None]
     weights = np.zeros(angles.shape)
-    for angle, counted, weight in zip(angles, counts, weights, strict=True):
-        if counted.any():
-            weight[counted] = arc_weights(angle[counted], echoes.n_channel)
+    for angle, lit, weight in zip(angles, _in_beam(echoes, points)[..., None], weights, strict=True):
+        found = np.isfinite(angle)
+        if np.any(found & lit):
+            weight[found] = arc_weights(angle[found], echoes.n_channel)
+            weight *= lit / np.mean(weight[found & lit])
     return weights
 
 
