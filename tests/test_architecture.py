@@ -32,7 +32,7 @@ DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pys
 TOOLS = {"pysas._pool"}  # threads for any loop: without NumPy, so without a delay
 EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas.commands", "pysas.demo", "pysas.tracks"}
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
-ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised", "pysas.forest")
+ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised", "pysas.forest", "pysas.view_angles")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
 OPTIONAL = {"matplotlib", "h5py", "xarray"}
 # public without standing in pysas.__all__: importing it needs an optional library
@@ -390,6 +390,25 @@ def test_benchmarks_and_examples_use_the_public_api_alone() -> None:
     assert not private_use("import pysas\nfrom pysas import plan\npysas.reference.exact()", {"plan", "reference"})
     assert SCRIPTS
     assert {name: found for name, text in SCRIPTS.items() if (found := private_use(text, public))} == {}
+
+
+# Tests of the references alone, which the run without the extension leaves out
+
+
+def engine_use(text: str) -> set[str]:
+    return set(re.findall(r"\b(?:backproject|backproject_arrays|ffbp|focus|plan)(?=\()|pysas\.engine", text))
+
+
+def test_reference_tests_call_no_engine() -> None:
+    assert engine_use("image = pysas.ffbp(echoes, grid)") == {"ffbp"}
+    marked = {
+        path.name: text
+        for path in (ROOT / "tests").glob("*.py")
+        if "pytestmark = pytest.mark.reference" in (text := path.read_text(encoding="utf-8"))
+        and path.name != Path(__file__).name
+    }
+    assert marked
+    assert {name: found for name, text in marked.items() if (found := engine_use(text))} == {}
 
 
 # Size: what is longer than this holds more than one thing

@@ -17,6 +17,8 @@ from scipy.ndimage import maximum_filter
 import pysas
 from pysas import circular
 
+pytestmark = pytest.mark.reference
+
 WAVE, N = 0.015, 256
 STEP = WAVE / 16
 PSF = circular.PointSpread(pysas.LFM(100e3, 20e3, 1e-3, "gaussian", 2e-5), 1500.0)

@@ -6,6 +6,8 @@ from scipy.special import jv
 
 from pysas import circular
 
+pytestmark = pytest.mark.reference
+
 OFFSETS = (0.0, 0.2, 0.5, 0.9, 0.999999)
 ANGLES = np.linspace(-np.pi, np.pi, 2001)
 

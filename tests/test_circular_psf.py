@@ -11,6 +11,8 @@ from scipy.special import j0, jn_zeros
 import pysas
 from pysas import circular
 
+pytestmark = pytest.mark.reference
+
 C, FC, BAND, T = 1500.0, 100e3, 20e3, 1e-3
 WAVE = C / FC
 GAUSS = circular.PointSpread(pysas.LFM(FC, BAND, T, "gaussian", 2e-5), C)

@@ -7,6 +7,8 @@ import stripmap_scenes as scenes
 import pysas
 from pysas.reference import chirp_scaling, looks, motion_compensate, omega_k, phase_centres, range_doppler
 
+pytestmark = pytest.mark.reference
+
 C = scenes.C
 PULSE = pysas.LFM(100e3, 20e3, 2e-3, "tukey", 0.3)
 WAVELENGTH = C / 100e3
