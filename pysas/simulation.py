@@ -291,10 +291,9 @@ def _fill(
     traces, pulse = echoes.traces, echoes.pulse
     assert isinstance(pulse, LFM)
     n_ping, n_channel, n_sample = traces.shape
-    tx, rx = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C")
+    tx, rx, start = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C"), np.array(echoes.start_time)
     moving = echoes.receiver_velocity
     velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
-    start = np.array(echoes.start_time)
     model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
     cost = (16 + 2 * model[3] * echoes.fs) * (1 + 4 * sum(directive))  # of an echo, in samples without a pattern
     step = max(1, int(_TASK_SAMPLES / cost))
@@ -302,7 +301,7 @@ def _fill(
     rows = min(max(workers, _BLOCK_BYTES // (16 * n_sample)), n_trace)
     sums = np.empty((rows, n_sample), dtype=np.complex128)
     power = np.zeros(n_trace)
-    total, finished = n_trace * len(chunks), 0
+    total, finished, clashes = n_trace * len(chunks), 0, list[tuple[int, int, int]]()
 
     def add(block: int, first: int, task: int) -> None:
         trace, row = block + task, sums[task]
@@ -312,23 +311,24 @@ def _fill(
         last = min(first + step, len(points))
         bad = _add_echoes(row, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive)
         if bad >= 0:
-            where = f"point {bad} at {points[bad]} lies on the transmitter or receiver of ping {ping}, channel {channel}"
-            raise ValueError(f"points: {where}: expected distances > 0 with spreading=True")
+            clashes.append((ping, channel, bad))  # the first is told, whichever thread was faster
         if last == len(points):
             power[trace] = _power(row)
             traces[ping, channel] = row
 
     def tick(done: int) -> None:
-        assert progress is not None
-        progress((finished + done) / total)
+        progress((finished + done) / total)  # type: ignore[misc]
 
     for block in range(0, n_trace, rows):
         count = min(rows, n_trace - block)
         sums[:count] = 0
         for first in chunks:
             task = partial(add, block, first)
-            _pool.run(task, count, workers, None if progress is None else tick)
+            _pool.run(task, count, workers, tick if progress is not None else None)
             finished += count
+            for ping, channel, bad in sorted(clashes):
+                where = f"point {bad} at {points[bad]} lies on the transmitter or receiver of ping {ping}, channel {channel}"
+                raise ValueError(f"points: {where}: expected distances > 0 with spreading=True")
     return float(power.mean() / n_sample)
 
 
