@@ -6,10 +6,11 @@ from pysas.reference.direct import exact
 from pysas.reference.looks import Looks, looks
 from pysas.reference.motion import motion_compensate
 from pysas.reference.omega_k import omega_k
+from pysas.reference.one_way import one_way
 from pysas.reference.phase_centres import phase_centres
 from pysas.reference.range_doppler import range_doppler
 
 __all__ = [
-    "Looks", "chirp_scaling", "correlation", "exact", "looks", "motion_compensate", "omega_k", "phase_centres",
-    "range_doppler",
+    "Looks", "chirp_scaling", "correlation", "exact", "looks", "motion_compensate", "omega_k", "one_way",
+    "phase_centres", "range_doppler",
 ]  # fmt: skip

@@ -1,0 +1,280 @@
+"""What the forms of one-way migration share: checks of their arguments, columns and margins, layers, and the steps in range."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+from pysas._checks import ComplexArray, FloatArray
+from pysas.echoes import Echoes
+from pysas.grid import Grid
+from pysas.reference.marching import EQUATIONS, Steps, one_way_wavenumber
+from pysas.reference.stripmap import Strip, even_ranges, prepare
+
+PHASE = 0.1  # rad, that Crank-Nicolson may add up to over the march at the edge of the beam
+STEEPEST = 0.9  # sine beyond which steps do not follow the wave any more
+COMPACT, PLAIN = 1.6, 0.8  # k_x dx that differences of fourth and second order carry
+
+Layers = list[tuple[float, float | FloatArray]]
+
+
+def equation(angle: Any) -> tuple[float, float]:
+    """alpha, beta of `angle`: 15, 45, 65, or the pair itself."""
+    if isinstance(angle, int | np.integer) and int(angle) in EQUATIONS:
+        return EQUATIONS[int(angle)]
+    wanted = "15, 45, 65 or a pair (alpha, beta) with alpha > 0 and 0 <= beta < 1"
+    if np.ndim(angle) != 1 or np.size(angle) != 2:
+        raise ValueError(f"angle={angle!r}: expected {wanted}")
+    alpha, beta = (float(v) for v in _checks.reals("angle", angle, [(2,)]))
+    if alpha <= 0 or not 0 <= beta < 1:
+        raise ValueError(f"angle={angle!r}: expected {wanted}")
+    return alpha, beta
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A straight track and what is to be imaged.
+
+    Attributes
+    ----------
+    strip : Strip
+        The track, pings in order of growing x.
+    data : (column, sample)
+        Its samples that the image can need, without margins.
+    grid : Grid
+    rows : (n,) int
+        Row of the image of each depth in `z`.
+    z : (n,) float64
+        Slant ranges to image, growing, m.
+    columns : (m,) int
+        Pings of the image's columns.
+    layers : list of (top, speed)
+    margin : int
+        Columns of silence added at either end.
+    half_angle : float
+        That must focus, rad.
+    highest : float
+        Largest temporal frequency, Hz.
+    period : int
+        Samples after which a periodic record may repeat without reaching the image.
+    """
+
+    strip: Strip
+    data: ComplexArray
+    grid: Grid
+    rows: npt.NDArray[np.int64]
+    z: FloatArray
+    columns: npt.NDArray[np.int64]
+    layers: Layers
+    margin: int
+    half_angle: float
+    highest: float
+    period: int
+
+    @property
+    def spacing(self) -> float:
+        """Of columns, m."""
+        return self.strip.spacing
+
+    @property
+    def crossed(self) -> int:
+        """Columns that a wave at half_angle crosses on its way to the last row."""
+        return int(np.ceil(self.z[-1] * np.tan(self.half_angle) / self.spacing))
+
+    @classmethod
+    def of(
+        cls, echoes: Echoes, grid: Grid | None, layers: Any, half_angle: float | None, margin: int | None, compact: bool
+    ) -> Line:
+        """Check the arguments of a migration."""
+        strip = checked(echoes)
+        data = strip.data[:1] if echoes.n_ping == 1 else strip.data
+        if grid is None:
+            grid = _default_grid(strip, len(data))
+        rows, z, columns = _pixels(strip, len(data), grid)
+        media = _layers(layers, echoes)
+        highest = echoes.fc + min(echoes.fs, echoes.occupied_bandwidth) / 2
+        half = beam_angle(echoes, strip.spacing, highest, half_angle, compact)
+        # times that rows can need: from broadside of the first to the edge of the beam, or of half a radian, of the last
+        reach = np.cos(max(half, 0.5))
+        needed = [travel_time(media, depth) for depth in (z[0], z[-1])]
+        far = int(np.ceil((needed[1] / reach - strip.start) * echoes.fs)) + _skirt(echoes)
+        data = data[:, : max(far, 1)]
+        before = max(0, int(np.ceil((strip.start - needed[0]) * echoes.fs)))
+        period = before + max(far, data.shape[1]) + _skirt(echoes)
+        line = cls(strip, data, grid, rows, z, columns, media, 0, half, highest, period)
+        if margin is None:
+            margin = 0 if len(data) == 1 else min(len(data), line.crossed)
+        return dataclasses.replace(line, margin=_checks.whole("margin", margin, 0))
+
+    def split(self, domains: int, overlap: int | None) -> list[tuple[int, Line]]:
+        """Sub-domains (first column, line), each with its share of the echoes (a linear partition of unity).
+
+        Their speeds that vary along x go on into the margins.
+        """
+        n = len(self.data)
+        if overlap is None:
+            overlap = 2 * self.crossed
+        overlap = _checks.whole("overlap", overlap, 0)
+        if domains > n:
+            raise ValueError(f"domains={domains!r}: expected at most the {n} pings")
+        cuts = np.linspace(0, n, domains + 1)
+        centre = np.arange(n) + 0.5
+        ramp = [np.clip((centre - cut) / max(overlap, 1e-9) + 0.5, 0, 1) for cut in cuts[1:-1]]
+        share = [np.ones(n), *ramp, np.zeros(n)]
+        parts = []
+        for i in range(domains):
+            weight = share[i] - share[i + 1]
+            first = max(0, int(np.floor(cuts[i] - overlap / 2))) if i else 0
+            last = min(n, int(np.ceil(cuts[i + 1] + overlap / 2))) if i < domains - 1 else n
+            data = self.data if domains == 1 else self.data[first:last] * weight[first:last, None].astype(self.data.real.dtype)
+            layers: Layers = [
+                (top, np.pad(speed[first:last], self.margin, "edge") if isinstance(speed, np.ndarray) else speed)
+                for top, speed in self.layers
+            ]
+            parts.append((first, dataclasses.replace(self, data=data, layers=layers)))
+        return parts
+
+    def jump(self) -> float:
+        """Depth down to which the water is of one speed and holds no row."""
+        if np.ndim(self.layers[0][1]):
+            return 0.0
+        return float(min(self.z[0], self.layers[1][0] if len(self.layers) > 1 else np.inf))
+
+    def steps(self, start: float, step: float | None) -> Steps:
+        """Steps from depth `start` to the last row, none longer than `step` (m; None: for a phase error of PHASE)."""
+        tops = [top for top, _ in self.layers]
+        breaks = np.unique(np.concatenate([[start], self.z, [top for top in tops if start < top < self.z[-1]]]))
+        length, time, speed, row = [], [], [], []
+        where = {depth: i for i, depth in enumerate(self.z)}
+        # a first row at the start is read before anything moves: after a step of no length
+        pairs = [(start, start)] * (start in where) + list(zip(breaks[:-1], breaks[1:], strict=True))
+        for low, high in pairs:
+            _, c = self.layers[int(np.searchsorted(tops, low, side="right")) - 1]
+            limit = self.longest(c, self.z[-1] - start) if step is None else step
+            n = max(1, int(np.ceil((high - low) / limit * (1 - 1e-9))))
+            begin = travel_time(self.layers, low)
+            length += [float(f"{(high - low) / n:.10e}")] * n
+            time += list(begin + 2 * (high - low) * np.mean(1 / np.asarray(c)) * np.arange(1, n + 1) / n)
+            speed += [c] * n
+            row += [-1] * (n - 1) + [where.get(high, -1)]
+        return Steps(np.array(length), np.array(time), speed, np.array(row))
+
+    def longest(self, speed: float | FloatArray, depth: float) -> float:
+        """Step for which Crank-Nicolson's phase b^3/12, b that of a step, adds up to PHASE over `depth` at the beam's edge."""
+        return longest_step(self.highest, float(np.mean(speed)), self.half_angle, self.strip.echoes.c, depth)
+
+
+def longest_step(highest: float, speed: float, half_angle: float, outside: float, depth: float) -> float:
+    """See `Line.longest`; `half_angle` holds in water of the speed `outside`, and Snell's law elsewhere."""
+    sine = min(np.sin(half_angle) * speed / outside, STEEPEST)
+    turn = -one_way_wavenumber(np.array(4 * np.pi * highest / speed), np.array(sine**2), EQUATIONS[45])
+    return float(np.sqrt(12 * PHASE / (turn**3 * max(depth, 1e-12))))
+
+
+def checked(echoes: Echoes) -> Strip:
+    """`prepare`, for one ping too: it is one column with Neumann ends, the same as two equal ones."""
+    if isinstance(echoes, Echoes) and echoes.n_ping == 1 and echoes.n_channel == 1:
+        apart = np.array([[0.0, 0, 0], [1.0, 0, 0]])
+        twice = np.concatenate([echoes.traces[:, 0]] * 2)
+        echoes = Echoes(
+            twice, fs=echoes.fs, fc=echoes.fc, tx=echoes.tx + apart, rx=echoes.receivers[:, 0] + apart, c=echoes.c,
+            t0=float(echoes.start_time[0]), bandwidth=echoes.bandwidth, pulse=echoes.pulse, compressed=echoes.compressed,
+        )  # fmt: skip
+    return prepare(echoes, None)
+
+
+def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float | None, compact: bool) -> float:
+    """Half-angle about broadside that must focus, rad; warns where `spacing` cannot carry it."""
+    k, carried = 4 * np.pi * highest / echoes.c, COMPACT if compact else PLAIN
+    limit = float(np.arcsin(min(carried / (k * spacing), 1.0)))
+    if half_angle is not None:
+        half = _checks.number("half_angle", half_angle, positive=True)
+        if half >= np.pi / 2:
+            raise ValueError(f"half_angle={half_angle!r}: expected radians in (0, pi/2)")
+    elif echoes.beam is not None:
+        boresight = echoes.beam.boresight.reshape(-1, 3)
+        squint = np.arcsin(np.abs(boresight[:, 0]) / np.linalg.norm(boresight, axis=1)).max()
+        half = float(min(echoes.beam.half_angle + squint, 1.1))
+    else:
+        return min(limit, float(np.radians(15)))
+    if half > limit * (1 + 1e-9) and echoes.n_ping > 1:
+        warnings.warn(
+            f"spacing of pings {spacing:.4g} m: differences in x carry {carried:g}/k_x, "
+            f"at most {carried / (k * np.sin(half)):.4g} m for a half-angle of {np.degrees(half):.3g} degrees",
+            stacklevel=4,
+        )
+    return half
+
+
+def travel_time(layers: Layers, depth: float) -> float:
+    """Two-way time straight down to `depth`, s (with the mean of 1/c over the columns)."""
+    total = 0.0
+    for i, (top, speed) in enumerate(layers):
+        bottom = layers[i + 1][0] if i + 1 < len(layers) else np.inf
+        total += 2 * max(min(depth, bottom) - top, 0.0) * float(np.mean(1 / np.asarray(speed)))
+    return total
+
+
+def _skirt(echoes: Echoes) -> int:
+    """Samples that a compressed pulse reaches beyond its peak."""
+    return 16 + int(np.ceil(4 * echoes.fs / echoes.occupied_bandwidth))
+
+
+def _default_grid(strip: Strip, columns: int) -> Grid:
+    near, far = max(strip.swath[0], 0.0), strip.swath[1]
+    if far <= 0:
+        raise ValueError(f"echoes: the record ends at slant range {far:g} m: expected samples after transmission")
+    ranges = even_ranges(near, far, strip.echoes.c / (2 * strip.echoes.fs))
+    return Grid.plane(strip.x0 + strip.spacing * np.arange(columns), strip.y0 + strip.side * ranges, z=strip.z0)
+
+
+def _pixels(
+    strip: Strip, columns: int, grid: Grid
+) -> tuple[npt.NDArray[np.int64], FloatArray, npt.NDArray[np.int64]]:  # fmt: skip
+    """Rows in order of depth, their depths, and the pings of the columns."""
+    if not isinstance(grid, Grid) or grid.kind != "plane":
+        raise TypeError(f"grid={grid!r}: expected a pysas.Grid.plane")
+    if abs(float(np.mean(grid.height)) - strip.z0) > 1e-6:
+        raise ValueError(f"grid: height {grid.height:g} m: expected that of the track, {strip.z0:g} m (the slant plane)")
+    place = (grid.axes["x"] - strip.x0) / strip.spacing
+    off = np.abs(place - np.rint(place))
+    if off.max() > 1e-3 or place.min() < -0.5 or place.max() > columns - 0.5:
+        column = int(np.argmax((off > 1e-3) | (place < -0.5) | (place > columns - 0.5)))
+        raise ValueError(f"grid: x={grid.axes['x'][column]!r} at column {column}: expected the x of a ping")
+    depth = strip.side * (grid.axes["y"] - strip.y0)
+    rows = np.argsort(depth)
+    if depth[rows[0]] < 0 or np.any(np.diff(depth[rows]) <= 0):
+        raise ValueError(
+            f"grid: y from {grid.axes['y'][0]:g} m: expected different slant ranges on the side the sonar looks to"
+        )
+    return rows.astype(np.int64), depth[rows], np.rint(place).astype(np.int64)
+
+
+def _layers(layers: Any, echoes: Echoes) -> Layers:
+    """Layers as (top, speed), the first at the track."""
+    if layers is None:
+        return [(0.0, echoes.c)]
+    if not isinstance(layers, Sequence) or not layers or any(not isinstance(v, Sequence) or len(v) != 2 for v in layers):
+        raise TypeError(f"layers={layers!r}: expected a sequence of pairs (top in m, speed in m/s)")
+    found: Layers = []
+    for i, (top, speed) in enumerate(layers):
+        name = f"layers[{i}]"
+        top = _checks.number(name, top, low=0.0)
+        if (i == 0) != (top == 0) or (found and top <= found[-1][0]):
+            raise ValueError(f"{name}: top {top:g} m: expected tops that grow from 0 at the track")
+        if np.ndim(speed):
+            values = _checks.reals(name, speed, [(echoes.n_ping,)], ("ping",))
+            values = values[::-1] if echoes.tx[0, 0] > echoes.tx[-1, 0] else values
+            if values.min() <= 0:
+                raise ValueError(f"{name}: speed {values.min():g} m/s: expected speeds > 0")
+            found.append((top, values))
+        else:
+            found.append((top, _checks.number(name, speed, positive=True)))
+    return found
