@@ -7,10 +7,12 @@ from pysas.reference.looks import Looks, looks
 from pysas.reference.motion import motion_compensate
 from pysas.reference.omega_k import omega_k
 from pysas.reference.one_way import one_way
+from pysas.reference.one_way_curved import map_to_line
+from pysas.reference.one_way_polar import one_way_polar
 from pysas.reference.phase_centres import phase_centres
 from pysas.reference.range_doppler import range_doppler
 
 __all__ = [
-    "Looks", "chirp_scaling", "correlation", "exact", "looks", "motion_compensate", "omega_k", "one_way",
-    "phase_centres", "range_doppler",
+    "Looks", "chirp_scaling", "correlation", "exact", "looks", "map_to_line", "motion_compensate", "omega_k", "one_way",
+    "one_way_polar", "phase_centres", "range_doppler",
 ]  # fmt: skip

@@ -48,12 +48,15 @@ class Steps:
         Sound speed in each, m/s.
     row : (n,) int
         Row of the image at the end of each step, or -1.
+    spread : (n,) float64
+        Mean of (spacing of columns at the track)^2/(spacing there)^2 over each step: not 1 where columns are rays.
     """
 
     length: FloatArray
     time: FloatArray
     speed: Sequence[float | FloatArray]
     row: npt.NDArray[np.int64]
+    spread: FloatArray
 
 
 def one_way_wavenumber(k: FloatArray, sine2: FloatArray, equation: tuple[float, float]) -> FloatArray:
@@ -84,11 +87,11 @@ class March:
     gamma: float
     threads: int
 
-    def factor(self, length: float, speed: float | FloatArray, part: slice) -> Complex:
+    def factor(self, length: float, speed: float | FloatArray, part: slice, spread: float = 1.0) -> Complex:
         """a (frequency,) of one step."""
         alpha, beta = self.equation
         k = 4 * np.pi * self.frequency[part] * np.mean(1 / np.asarray(speed))
-        return np.asarray(self.gamma + (beta - 0.5j * alpha * k * length) / (k * self.spacing) ** 2)
+        return np.asarray(self.gamma + (beta - 0.5j * alpha * k * length) * spread / (k * self.spacing) ** 2)
 
     def blocks(self, columns: int, itemsize: int) -> list[slice]:
         """Frequencies of each task: their number depends on nothing but the problem, so that sums do not either."""
@@ -138,8 +141,9 @@ class March:
         row = 0
         for s in chunk:
             length, speed = float(steps.length[s]), steps.speed[s]
-            if s == chunk.start or length != steps.length[s - 1] or speed is not steps.speed[s - 1]:
-                solver.prepare(self.factor(length, speed, part))
+            same = s > chunk.start and length == steps.length[s - 1] and steps.spread[s] == steps.spread[s - 1]
+            if not same or speed is not steps.speed[s - 1]:
+                solver.prepare(self.factor(length, speed, part, steps.spread[s]))
                 screen = None if np.ndim(speed) == 0 else self._screen(length, np.asarray(speed), part, w.dtype)
             if screen is not None:
                 w *= screen

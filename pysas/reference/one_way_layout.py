@@ -104,10 +104,10 @@ class Line:
         # times that rows can need: from broadside of the first to the edge of the beam, or of half a radian, of the last
         reach = np.cos(max(half, 0.5))
         needed = [travel_time(media, depth) for depth in (z[0], z[-1])]
-        far = int(np.ceil((needed[1] / reach - strip.start) * echoes.fs)) + _skirt(echoes)
+        far = int(np.ceil((needed[1] / reach - strip.start) * echoes.fs)) + skirt(echoes)
         data = data[:, : max(far, 1)]
         before = max(0, int(np.ceil((strip.start - needed[0]) * echoes.fs)))
-        period = before + max(far, data.shape[1]) + _skirt(echoes)
+        period = before + max(far, data.shape[1]) + skirt(echoes)
         line = cls(strip, data, grid, rows, z, columns, media, 0, half, highest, period)
         if margin is None:
             margin = 0 if len(data) == 1 else min(len(data), line.crossed)
@@ -164,7 +164,7 @@ class Line:
             time += list(begin + 2 * (high - low) * np.mean(1 / np.asarray(c)) * np.arange(1, n + 1) / n)
             speed += [c] * n
             row += [-1] * (n - 1) + [where.get(high, -1)]
-        return Steps(np.array(length), np.array(time), speed, np.array(row))
+        return Steps(np.array(length), np.array(time), speed, np.array(row), np.ones(len(row)))
 
     def longest(self, speed: float | FloatArray, depth: float) -> float:
         """Step for which Crank-Nicolson's phase b^3/12, b that of a step, adds up to PHASE over `depth` at the beam's edge."""
@@ -222,7 +222,7 @@ def travel_time(layers: Layers, depth: float) -> float:
     return total
 
 
-def _skirt(echoes: Echoes) -> int:
+def skirt(echoes: Echoes) -> int:
     """Samples that a compressed pulse reaches beyond its peak."""
     return 16 + int(np.ceil(4 * echoes.fs / echoes.occupied_bandwidth))
 
