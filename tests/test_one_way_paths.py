@@ -6,7 +6,7 @@ from scipy.special import hankel1e
 
 import pysas
 from pysas.reference import exact, map_to_line, omega_k, one_way_polar
-from pysas.reference.marching import EQUATIONS, March, Solver
+from pysas.reference.marching import EQUATIONS
 
 C, FC, FS, BAND = 1500.0, 100e3, 20e3, 15e3
 U = 0.01 * (np.arange(500) - 250)
@@ -123,11 +123,11 @@ def ring(mode, radius, depth, k):
     return pysas.Echoes(data, fs=fs, fc=fc, tx=tx, rx=tx, c=C, t0=float(t[0]), bandwidth=600.0), t, pulse, phi
 
 
-@pytest.mark.parametrize(("radius", "r"), [(3.0, 6.0), (6.0, 3.0)])
+@pytest.mark.parametrize(("radius", "r"), [(3.0, 6.0), (4.5, 3.0)])
 def test_polar_against_hankel_functions(radius, r):
     # waves exp(j m phi) sqrt(k r) H_m(k r), alpha and beta of the equation give the phase error of its 15 and 45 degrees
-    k, depth = 838.0, abs(r - radius)
-    for sine in (0.05, 0.15):
+    k, depth = 200.0, abs(r - radius)
+    for sine in (0.05, 0.2):
         mode = round(k * radius * sine)
         echoes, t, pulse, phi = ring(mode, radius, depth, k)
         f = np.arange(-300.0, 301.0, 10.0)
@@ -137,9 +137,11 @@ def test_polar_against_hankel_functions(radius, r):
         turn = np.unwrap(np.angle(hankel1e(mode, wave[:, None] * place)), axis=1)
         advance = np.sign(r - radius) * (turn[:, -1] - turn[:, 0]) + wave * depth
         expected = 10.0 * np.sum(spectrum * np.exp(1j * advance)) / echoes.fs * np.sqrt(radius / r)
-        for angle, terms in EQUATIONS.items():
-            grid = pysas.Grid.polar([r], phi[:1])
-            found = one_way_polar(echoes, grid, angle=angle, half_angle=0.18, step=0.01, threads=1).data.item()
+        for angle, terms in list(EQUATIONS.items())[:2]:
+            # far from the seam of the circle, where the record goes on as it is but differences end
+            grid = pysas.Grid.polar([r], phi[phi.size // 2 : phi.size // 2 + 1])
+            found = one_way_polar(echoes, grid, angle=angle, half_angle=0.21, step=0.005, threads=1).data.item()
+            found /= np.cos(mode * phi[phi.size // 2])
             sine2 = (mode**2 - 0.25) / (k * place) ** 2
             approximate = terms[0] * sine2 / (1 - terms[1] * sine2)
             error = np.trapezoid(k * (1 - approximate - np.sqrt(1 - sine2)), np.abs(place - radius))

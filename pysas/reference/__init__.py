@@ -11,8 +11,9 @@ from pysas.reference.one_way_curved import map_to_line
 from pysas.reference.one_way_polar import one_way_polar
 from pysas.reference.phase_centres import phase_centres
 from pysas.reference.range_doppler import range_doppler
+from pysas.reference.regularise import Enhanced, enhance, noise_level
 
 __all__ = [
-    "Looks", "chirp_scaling", "correlation", "exact", "looks", "map_to_line", "motion_compensate", "omega_k", "one_way",
-    "one_way_polar", "phase_centres", "range_doppler",
+    "Enhanced", "Looks", "chirp_scaling", "correlation", "enhance", "exact", "looks", "map_to_line", "motion_compensate",
+    "noise_level", "omega_k", "one_way", "one_way_polar", "phase_centres", "range_doppler",
 ]  # fmt: skip

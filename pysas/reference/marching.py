@@ -74,11 +74,13 @@ class March:
     frequency : (n,) float64
         fc + f, Hz.
     spacing : float
-        Of columns, m.
+        Of pings, m.
     equation : (alpha, beta)
     gamma : float
         0, or 1/12 for differences of fourth order.
     threads : int
+    fine : int
+        Odd: columns of the march for each ping, the middle one at its place.
     """
 
     frequency: FloatArray
@@ -86,23 +88,24 @@ class March:
     equation: tuple[float, float]
     gamma: float
     threads: int
+    fine: int = 1
 
     def factor(self, length: float, speed: float | FloatArray, part: slice, spread: float = 1.0) -> Complex:
         """a (frequency,) of one step."""
         alpha, beta = self.equation
         k = 4 * np.pi * self.frequency[part] * np.mean(1 / np.asarray(speed))
-        return np.asarray(self.gamma + (beta - 0.5j * alpha * k * length) * spread / (k * self.spacing) ** 2)
+        return np.asarray(self.gamma + (beta - 0.5j * alpha * k * length) * spread / (k * self.spacing / self.fine) ** 2)
 
     def blocks(self, columns: int, itemsize: int) -> list[slice]:
         """Frequencies of each task: their number depends on nothing but the problem, so that sums do not either."""
-        size = max(8, min(64, _BLOCK_BYTES // (columns * itemsize) // 8 * 8))
+        size = max(8, min(64, _BLOCK_BYTES // (columns * self.fine * itemsize) // 8 * 8))
         return [slice(i, min(i + size, self.frequency.size)) for i in range(0, self.frequency.size, size)]
 
     def enter(self, w: Block, part: slice, speed: float | FloatArray, depth: float, summed: bool) -> Block:
         """Take out of `w` what does not propagate and carry the rest to `depth` at once, through water of one speed.
 
-        Cosines of a DCT-II are the modes that Neumann ends leave; each obeys the one-way equation by a factor. `summed`: with
-        the weight of back-projection but for sqrt(z), see `one_way`.
+        Cosines of a DCT-II are the modes that Neumann ends leave; each obeys the one-way equation by a factor. The result has
+        `fine` columns for each of `w`. `summed`: with the weight of back-projection but for sqrt(z), see `one_way`.
         """
         k = 4 * np.pi * self.frequency[part] * np.mean(1 / np.asarray(speed))
         k_x = np.pi * np.arange(w.shape[0]) / (w.shape[0] * self.spacing)
@@ -113,11 +116,12 @@ class March:
         if summed:
             factor *= np.sqrt(2 * np.pi / k) * np.exp(0.25j * np.pi) / self.spacing * (1 - sine2) ** -0.75
         factor[wide] = 0
-        modes = scipy.fft.dct(w, axis=0, workers=1) * factor.astype(w.dtype)
-        return np.ascontiguousarray(scipy.fft.idct(modes, axis=0, overwrite_x=True, workers=1))
+        modes = scipy.fft.dct(w, axis=0, workers=1) * (self.fine * factor).astype(w.dtype)
+        return np.ascontiguousarray(scipy.fft.idct(modes, n=len(w) * self.fine, axis=0, overwrite_x=True, workers=1))
 
     def image(self, waves: list[Block], blocks: list[slice], steps: Steps, inside: slice, out: Block) -> None:
-        """March the waves of all blocks of frequencies, in place, and add them up at each row of `out` (row, column inside)."""
+        """March the waves of all blocks of frequencies, in place, and add them up at each row of `out` (row, ping inside)."""
+        inside = slice(inside.start * self.fine + self.fine // 2, inside.stop * self.fine, self.fine)
         rows = max(1, _PART_BYTES // (len(blocks) * out.shape[1] * 16))
         ends = np.flatnonzero(steps.row >= 0)
         first = 0

@@ -59,7 +59,8 @@ def one_way(
     scheme : {"cn", "euler"}
         Crank-Nicolson, or the paper's implicit Euler (form="carrier" alone), which damps by exp(-k_x^2 dz z/4).
     correction : {"both", "centre", "compact", "none"}, optional
-        "compact": fourth-order differences in x. "centre": alpha and beta times tan(phi/2)/(phi/2), phi = k dz at fc, which
+        "compact": fourth-order differences in x, in base-band with columns between pings where their phase at half_angle would
+        add up to more than 0.2 rad. "centre": alpha and beta times tan(phi/2)/(phi/2), phi = k dz at fc, which
         undoes the splitting's error there; form="base-band" has none. Default: both, of "euler" none.
     form : {"base-band", "carrier"}
         "base-band": each frequency of the occupied band on its own, carrier removed: steps follow the beam. "carrier": the
@@ -73,7 +74,7 @@ def one_way(
         Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam, else 15
         degrees, or what differences at this spacing carry if that is less.
     step : float, optional
-        Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.1 rad;
+        Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.2 rad;
         "carrier": c/(2 fc)/16.
     margin : int, optional
         Columns of silence at either end, without which waves that leave come back. Default: all that half_angle can cross.
@@ -181,8 +182,9 @@ def _base_band(
     """Image (depth, column) by frequencies."""
     echoes = line.strip.echoes
     wave, f = spectrum(line)
-    march = March(echoes.fc + f, line.spacing, terms, gamma, threads)
     n, start = len(wave), line.jump()
+    fine = line.columns_per_ping(start) if gamma and n > 1 else 1
+    march = March(echoes.fc + f, line.spacing, terms, gamma, threads, fine)
     columns = n + 2 * line.margin
     inside = slice(line.margin, line.margin + n)
     blocks = march.blocks(columns, wave.itemsize)
@@ -194,10 +196,10 @@ def _base_band(
         waves[number] = march.enter(padded, blocks[number], line.layers[0][1], start, summed)
 
     _pool.run(enter, len(blocks), threads)
-    steps = line.steps(start, step)
+    steps = line.steps(start, step, fine)
     out = np.zeros((line.z.size, n), dtype=wave.dtype)
     march.image(waves, blocks, steps, inside, out)
-    return out, {"steps": steps.length.size, "frequencies": f.size}
+    return out, {"steps": steps.length.size, "frequencies": f.size, "columns_per_ping": fine}
 
 
 def _carrier(

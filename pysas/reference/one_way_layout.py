@@ -18,7 +18,7 @@ from pysas.grid import Grid
 from pysas.reference.marching import EQUATIONS, Steps, one_way_wavenumber
 from pysas.reference.stripmap import Strip, even_ranges, prepare
 
-PHASE = 0.1  # rad, that Crank-Nicolson may add up to over the march at the edge of the beam
+PHASE = 0.2  # rad, that steps in range, and differences in x, may each add up to over the march at the beam's edge
 STEEPEST = 0.9  # sine beyond which steps do not follow the wave any more
 COMPACT, PLAIN = 1.6, 0.8  # k_x dx that differences of fourth and second order carry
 
@@ -147,8 +147,12 @@ class Line:
             return 0.0
         return float(min(self.z[0], self.layers[1][0] if len(self.layers) > 1 else np.inf))
 
-    def steps(self, start: float, step: float | None) -> Steps:
-        """Steps from depth `start` to the last row, none longer than `step` (m; None: for a phase error of PHASE)."""
+    def steps(self, start: float, step: float | None, fine: int) -> Steps:
+        """Steps from depth `start` to the last row, none longer than `step` (m; None: for a phase error of PHASE).
+
+        Speeds that vary along x get `fine` values for each ping.
+        """
+        speeds = [c if np.ndim(c) == 0 else _between(np.asarray(c), fine) for _, c in self.layers]
         tops = [top for top, _ in self.layers]
         breaks = np.unique(np.concatenate([[start], self.z, [top for top in tops if start < top < self.z[-1]]]))
         length, time, speed, row = [], [], [], []
@@ -156,26 +160,46 @@ class Line:
         # a first row at the start is read before anything moves: after a step of no length
         pairs = [(start, start)] * (start in where) + list(zip(breaks[:-1], breaks[1:], strict=True))
         for low, high in pairs:
-            _, c = self.layers[int(np.searchsorted(tops, low, side="right")) - 1]
+            c = speeds[int(np.searchsorted(tops, low, side="right")) - 1]
             limit = self.longest(c, self.z[-1] - start) if step is None else step
             n = max(1, int(np.ceil((high - low) / limit * (1 - 1e-9))))
-            begin = travel_time(self.layers, low)
+            begin = travel_time(list(zip(tops, speeds, strict=True)), low)
             length += [float(f"{(high - low) / n:.10e}")] * n
             time += list(begin + 2 * (high - low) * np.mean(1 / np.asarray(c)) * np.arange(1, n + 1) / n)
             speed += [c] * n
             row += [-1] * (n - 1) + [where.get(high, -1)]
         return Steps(np.array(length), np.array(time), speed, np.array(row), np.ones(len(row)))
 
+    def columns_per_ping(self, start: float) -> int:
+        """Odd number for which fourth-order differences, right to (k_x dx)^4/240, err by less than PHASE at the beam's edge."""
+        turned = 0.0
+        for i, (top, speed) in enumerate(self.layers):
+            bottom = min(self.layers[i + 1][0] if i + 1 < len(self.layers) else np.inf, self.z[-1])
+            c = float(np.mean(speed))
+            turned += edge_turn(self.highest, c, self.half_angle, self.strip.echoes.c) * max(bottom - max(top, start), 0.0)
+        return columns_per_ping(self.highest * self.spacing / self.strip.echoes.c, self.half_angle, turned)
+
     def longest(self, speed: float | FloatArray, depth: float) -> float:
         """Step for which Crank-Nicolson's phase b^3/12, b that of a step, adds up to PHASE over `depth` at the beam's edge."""
         return longest_step(self.highest, float(np.mean(speed)), self.half_angle, self.strip.echoes.c, depth)
 
 
-def longest_step(highest: float, speed: float, half_angle: float, outside: float, depth: float) -> float:
-    """See `Line.longest`; `half_angle` holds in water of the speed `outside`, and Snell's law elsewhere."""
+def edge_turn(highest: float, speed: float, half_angle: float, outside: float) -> float:
+    """|k_z - k| at the beam's edge, rad/m; `half_angle` holds in water of the speed `outside`, and Snell's law elsewhere."""
     sine = min(np.sin(half_angle) * speed / outside, STEEPEST)
-    turn = -one_way_wavenumber(np.array(4 * np.pi * highest / speed), np.array(sine**2), EQUATIONS[45])
+    return -float(one_way_wavenumber(np.array(4 * np.pi * highest / speed), np.array(sine**2), EQUATIONS[45]))
+
+
+def longest_step(highest: float, speed: float, half_angle: float, outside: float, depth: float) -> float:
+    """See `Line.longest`."""
+    turn = edge_turn(highest, speed, half_angle, outside)
     return float(np.sqrt(12 * PHASE / (turn**3 * max(depth, 1e-12))))
+
+
+def columns_per_ping(waves: float, half_angle: float, turned: float) -> int:
+    """See `Line.columns_per_ping`; `waves`: wavelengths per spacing, `turned`: edge_turn times depth, rad."""
+    phase = 4 * np.pi * waves * np.sin(half_angle)
+    return int(np.ceil((turned * phase**4 / 240 / PHASE) ** 0.25)) // 2 * 2 + 1
 
 
 def checked(echoes: Echoes) -> Strip:
@@ -220,6 +244,12 @@ def travel_time(layers: Layers, depth: float) -> float:
         bottom = layers[i + 1][0] if i + 1 < len(layers) else np.inf
         total += 2 * max(min(depth, bottom) - top, 0.0) * float(np.mean(1 / np.asarray(speed)))
     return total
+
+
+def _between(values: FloatArray, fine: int) -> FloatArray:
+    """Linear between pings, `fine` values for each."""
+    places = (np.arange(values.size * fine) + 0.5) / fine - 0.5
+    return np.interp(places, np.arange(values.size), values)
 
 
 def skirt(echoes: Echoes) -> int:

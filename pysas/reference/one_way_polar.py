@@ -18,7 +18,7 @@ from pysas.echoes import Echoes
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.reference.marching import Block, March, Steps
-from pysas.reference.one_way_layout import beam_angle, equation, longest_step, skirt
+from pysas.reference.one_way_layout import beam_angle, columns_per_ping, edge_turn, equation, longest_step, skirt
 from pysas.reference.stripmap import TOLERANCE, frequencies, matched_filter
 
 WIDEST = np.radians(60)  # from the radius; no equation here is right beyond
@@ -79,7 +79,9 @@ def one_way_polar(
     last = int(np.argmax(depth))
     there = np.arcsin(circle.radius * np.sin(half) / circle.r[last])
     if margin is None:
-        margin = min(echoes.n_ping, int(np.ceil(np.abs(half - there) / circle.step)))
+        # beyond what a ray crosses the Fresnel zone, as on a full circle the margin's end is not silent
+        beyond = 2 * np.sqrt(echoes.c / (2 * echoes.fc) * depth[last]) / spacing if circle.closed else 0.0
+        margin = min(echoes.n_ping, int(np.ceil(np.abs(half - there) / circle.step + beyond)))
     margin = min(_checks.whole("margin", margin, 0), echoes.n_ping)
     if step is None:
         step = longest_step(highest, echoes.c, max(half, there), echoes.c, float(depth[last]))
@@ -95,7 +97,9 @@ def one_way_polar(
     wave = scipy.fft.fft(echoes.traces[circle.order, 0], n, axis=1, workers=workers)[:, inside]
     wave *= np.exp(-2j * np.pi * f * start) * (1 if matched is None else matched) / n
     wave = np.pad(wave, ((margin, margin), (0, 0)), "wrap" if circle.closed else "constant")
-    march = March(echoes.fc + f, spacing, terms, 1 / 12, workers)
+    turned = edge_turn(highest, echoes.c, max(half, there), echoes.c) * float(depth[last])
+    fine = columns_per_ping(highest * spacing / echoes.c, half, turned)
+    march = March(echoes.fc + f, spacing, terms, 1 / 12, workers, fine)
     blocks = march.blocks(len(wave), wave.itemsize)
     waves: list[Block] = [wave] * len(blocks)
 
@@ -108,7 +112,14 @@ def one_way_polar(
     quarter = (1 / circle.radius - 1 / circle.r) * np.sign(circle.r - circle.radius) * echoes.c / (32 * np.pi * echoes.fc)
     out *= (np.sqrt(circle.radius / circle.r) * np.exp(1j * quarter)).astype(out.dtype)[:, None]
     image = np.ascontiguousarray(out[:, circle.columns].T)
-    choices = {"angle": angle, "steps": steps.length.size, "frequencies": f.size, "margin": margin, "half_angle": half}
+    choices = {
+        "angle": angle,
+        "steps": steps.length.size,
+        "frequencies": f.size,
+        "margin": margin,
+        "half_angle": half,
+        "columns_per_ping": fine,
+    }
     report = Report(
         "one-way, polar", threads=workers, backend="numba", sum_seconds=time.perf_counter() - clock, choices=choices
     )  # fmt: skip
@@ -192,9 +203,13 @@ def _steps(circle: _Circle, step: float, c: float) -> Steps:
         high = float(depth[i])
         n = max(1, int(np.ceil((high - low) / step * (1 - 1e-9))))
         length += [(high - low) / n] * n
-        time_ += list(2 / c * (low + (high - low) * np.arange(1, n + 1) / n))
+        place = low + (high - low) * np.arange(n + 1) / n
+        time_ += list(2 / c * place[1:])
         row += [-1] * (n - 1) + [int(i)]
-        # one factor for all steps between two radii: the mean of 1/r^2 over them
-        spread += [circle.radius**2 / ((circle.radius + out * low) * (circle.radius + out * high))] * n
+        # one factor for some steps, while r changes by less than a hundredth: the mean of 1/r^2 over them
+        several = max(1, int(0.01 * circle.r.min() / ((high - low) / n))) if n > 1 else 1
+        ends = np.minimum(np.arange(n) // several * several + several, n)
+        r_before, r_after = (circle.radius + out * place[e] for e in (np.arange(n) // several * several, ends))
+        spread += list(circle.radius**2 / (r_before * r_after))
         low = high
     return Steps(np.array(length), np.array(time_), [c] * len(length), np.array(row), np.array(spread))
