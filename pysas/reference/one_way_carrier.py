@@ -47,11 +47,11 @@ class Scheme:
         """For alpha or beta, dz/dx, and gamma = 1/12 or 0 (Euler: 0)."""
         theta2 = coefficient * ratio**2
         e, f, s = (theta2, theta2, 1.0) if scheme == "euler" else (theta2 / 4 - gamma, theta2 / 2, 2.0)
-        inverse = np.empty(columns)
-        before = 0.0
+        # pivots p = e + r without the cancellation of 1 + 2 e - e^2/p, which loses the 1 where dz/dx is large
+        inverse, r = np.empty(columns), 1.0
         for i in range(columns):
-            ends = int(i == 0) + int(i == columns - 1)
-            before = inverse[i] = 1 / (1 + (2 - ends) * e - e * e * before)
+            inverse[i] = 1 / (r if i == columns - 1 else e + r)
+            r = 1 + e * r / (e + r)
         return cls(e, f, gamma, s, inverse)
 
     @property
@@ -137,9 +137,9 @@ def _solve(u, w, y, numbers, inverse):  # type: ignore[no-untyped-def]
         low, high = max(i - 1, 0), min(i + 1, n - 1)
         p = inverse[i]
         for j in range(m):
-            middle = f * u[i, j] + gamma * w[i, j]
-            sides = f * (u[low, j] + u[high, j]) + gamma * (w[low, j] + w[high, j])
-            y[i, j] = (w[i, j] - (middle + middle - sides)) * p
+            of_u = (u[i, j] - u[low, j]) + (u[i, j] - u[high, j])
+            of_w = (w[i, j] - w[low, j]) + (w[i, j] - w[high, j])
+            y[i, j] = (w[i, j] - (f * of_u + gamma * of_w)) * p
         if i > 0:
             p *= e
             for j in range(m):
