@@ -277,13 +277,11 @@ def _pixels(
     off = np.abs(place - np.rint(place))
     if off.max() > 1e-3 or place.min() < -0.5 or place.max() > columns - 0.5:
         column = int(np.argmax((off > 1e-3) | (place < -0.5) | (place > columns - 0.5)))
-        raise ValueError(f"grid: x={grid.axes['x'][column]!r} at column {column}: expected the x of a ping")
+        raise ValueError(f"grid: x={grid.axes['x'][column]:g} m at column {column}: expected the x of a ping")
     depth = strip.side * (grid.axes["y"] - strip.y0)
     rows = np.argsort(depth)
     if depth[rows[0]] < 0 or np.any(np.diff(depth[rows]) <= 0):
-        raise ValueError(
-            f"grid: y from {grid.axes['y'][0]:g} m: expected different slant ranges on the side the sonar looks to"
-        )
+        raise ValueError(f"grid: y from {grid.axes['y'][0]:g} m: expected different slant ranges on the sonar's side")
     return rows.astype(np.int64), depth[rows], np.rint(place).astype(np.int64)
 
 

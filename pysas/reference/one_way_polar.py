@@ -154,7 +154,7 @@ class _Circle:
         off = np.abs(place - self.columns)
         if off.max() > 1e-3 or self.columns.max() >= len(even):
             column = int(np.argmax((off > 1e-3) | (self.columns >= len(even))))
-            raise ValueError(f"grid: angle={grid.axes['angle'][column]!r} rad: expected the angle of a ping")
+            raise ValueError(f"grid: angle={grid.axes['angle'][column]:g} rad at column {column}: expected the angle of a ping")
         self.r = grid.axes["r"]
 
     @classmethod
