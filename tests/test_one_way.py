@@ -250,13 +250,17 @@ def test_evanescent_energy_is_not_imaged(form):
     assert largest(np.exp(1j * np.pi * np.arange(64))) < 1e-5 * largest(np.ones(64))
 
 
-def test_pings_too_far_apart_are_said(narrow):
-    # 1.6/(k sin 0.3) with k = 4 pi 107.5 kHz/1500
-    with pytest.warns(UserWarning, match=r"spacing of pings 0\.01 m: .* at most 0\.006012 m for a half-angle of 17\.2 degrees"):
-        one_way(narrow, pysas.Grid.plane([0.0], [7.5, 7.6]), half_angle=0.3, step=0.05, margin=0, threads=1)
-    with pytest.warns(UserWarning, match=r"carry 0\.8/k_x"):
-        grid = pysas.Grid.plane([0.0], [7.5, 7.6])
-        one_way(narrow, grid, half_angle=0.15, correction="none", step=0.05, margin=0, threads=1)
+def test_pings_too_far_apart_are_said(narrow, low):
+    grid = pysas.Grid.plane([0.0], [7.8, 7.9])
+    # pi, 1.6 and 0.8 over k sin(half-angle) with k = 4 pi 107.5 kHz/1500
+    for half_angle, arguments, message in (
+        (0.5, {}, r"0\.01 m: the march carries 3\.14/k_x, at most 0\.007276 m for a half-angle of 28\.6 degrees"),
+        (0.1, {"correction": "none"}, r"the march carries 0\.8/k_x, at most 0\.008898 m"),
+    ):
+        with pytest.warns(UserWarning, match=message):
+            one_way(narrow, grid, half_angle=half_angle, step=0.1, margin=0, threads=1, **arguments)
+    with pytest.warns(UserWarning, match=r"the march carries 1\.6/k_x, at most 0\.04193 m for a half-angle of 28\.6 degrees"):
+        one_way(low, grid, form="carrier", half_angle=0.5, step=0.0125, margin=0, threads=1)
 
 
 @pytest.mark.parametrize("form", ["base-band", "carrier"])

@@ -22,7 +22,7 @@ from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.reference import one_way_carrier as carrier
 from pysas.reference.marching import Block, March
-from pysas.reference.one_way_layout import Line, equation
+from pysas.reference.one_way_layout import COMPACT, PLAIN, SAMPLED, Line, equation
 from pysas.reference.stripmap import frequencies, matched_filter
 
 
@@ -72,7 +72,7 @@ def one_way(
         As in `omega_k`: "backprojection" gives the image that `backproject` sums, in water of one speed.
     half_angle : float, optional
         Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam, else 15
-        degrees, or what differences at this spacing carry if that is less.
+        degrees, or what fourth-order differences at this spacing carry if that is less.
     step : float, optional
         Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.2 rad;
         "carrier": c/(2 fc)/16.
@@ -94,7 +94,8 @@ def one_way(
     Warns
     -----
     UserWarning
-        Pings farther apart than differences in x carry at half_angle (k_x dx <= 1.6 if compact, else 0.8); states the limit.
+        Pings farther apart than the march can carry at half_angle: pi/k_x; with form="carrier" 1.6/k_x; without compact
+        differences 0.8/k_x. States the limit.
 
     Raises
     ------
@@ -130,7 +131,8 @@ def one_way(
     if step is not None:
         step = _checks.number("step", step, positive=True)
     summed = weight == "backprojection"
-    line = Line.of(echoes, grid, layers, half_angle, margin, correction in ("both", "compact"))
+    carried = PLAIN if correction not in ("both", "compact") else COMPACT if form == "carrier" else SAMPLED
+    line = Line.of(echoes, grid, layers, half_angle, margin, carried)
     if summed and (len(line.layers) > 1 or np.ndim(line.layers[0][1])):
         raise ValueError(f'weight={weight!r}: expected "flat" with layers')
 

@@ -14,7 +14,7 @@ from pysas import _checks, _pool
 from pysas._checks import FloatArray
 from pysas.echoes import Echoes
 from pysas.reference.marching import Block, March, Solver, one_way_wavenumber
-from pysas.reference.one_way_layout import PHASE, beam_angle, equation, longest_step, skirt
+from pysas.reference.one_way_layout import COMPACT, PHASE, beam_angle, equation, longest_step, skirt
 from pysas.reference.stripmap import TOLERANCE, Strip, frequencies, prepare
 
 
@@ -63,7 +63,7 @@ def map_to_line(
     strip, depth, place = _path(echoes, path, line)
     terms, workers = equation(angle), _checks.threads(threads)
     highest = echoes.fc + min(echoes.fs, echoes.occupied_bandwidth) / 2
-    half = beam_angle(echoes, strip.spacing, highest, half_angle, True)
+    half = beam_angle(echoes, strip.spacing, highest, half_angle, COMPACT)
     slope = np.abs(np.diff(depth)) / strip.spacing
     if slope.max() > np.tan(half):
         x = strip.x0 + strip.spacing * int(np.argmax(slope))

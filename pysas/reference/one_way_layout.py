@@ -20,7 +20,7 @@ from pysas.reference.stripmap import Strip, even_ranges, prepare
 
 PHASE = 0.2  # rad, that steps in range, and differences in x, may each add up to over the march at the beam's edge
 STEEPEST = 0.9  # sine beyond which steps do not follow the wave any more
-COMPACT, PLAIN = 1.6, 0.8  # k_x dx that differences of fourth and second order carry
+SAMPLED, COMPACT, PLAIN = np.pi, 1.6, 0.8  # k_x dx that samples, and differences of fourth and second order, carry
 
 Layers = list[tuple[float, float | FloatArray]]
 
@@ -90,7 +90,7 @@ class Line:
 
     @classmethod
     def of(
-        cls, echoes: Echoes, grid: Grid | None, layers: Any, half_angle: float | None, margin: int | None, compact: bool
+        cls, echoes: Echoes, grid: Grid | None, layers: Any, half_angle: float | None, margin: int | None, carried: float
     ) -> Line:
         """Check the arguments of a migration."""
         strip = checked(echoes)
@@ -100,7 +100,7 @@ class Line:
         rows, z, columns = _pixels(strip, len(data), grid)
         media = _layers(layers, echoes)
         highest = echoes.fc + min(echoes.fs, echoes.occupied_bandwidth) / 2
-        half = beam_angle(echoes, strip.spacing, highest, half_angle, compact)
+        half = beam_angle(echoes, strip.spacing, highest, half_angle, carried)
         # times that rows can need: from broadside of the first to the edge of the beam, or of half a radian, of the last
         reach = np.cos(max(half, 0.5))
         needed = [travel_time(media, depth) for depth in (z[0], z[-1])]
@@ -214,9 +214,9 @@ def checked(echoes: Echoes) -> Strip:
     return prepare(echoes, None)
 
 
-def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float | None, compact: bool) -> float:
-    """Half-angle about broadside that must focus, rad; warns where `spacing` cannot carry it."""
-    k, carried = 4 * np.pi * highest / echoes.c, COMPACT if compact else PLAIN
+def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float | None, carried: float) -> float:
+    """Half-angle about broadside that must focus, rad; warns where `spacing` is more than `carried`/k_x."""
+    k = 4 * np.pi * highest / echoes.c
     limit = float(np.arcsin(min(carried / (k * spacing), 1.0)))
     if half_angle is not None:
         half = _checks.number("half_angle", half_angle, positive=True)
@@ -227,11 +227,11 @@ def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float
         squint = np.arcsin(np.abs(boresight[:, 0]) / np.linalg.norm(boresight, axis=1)).max()
         half = float(min(echoes.beam.half_angle + squint, 1.1))
     else:
-        return min(limit, float(np.radians(15)))
+        return float(min(np.arcsin(min(min(carried, COMPACT) / (k * spacing), 1.0)), np.radians(15)))
     if half > limit * (1 + 1e-9) and echoes.n_ping > 1:
         warnings.warn(
-            f"spacing of pings {spacing:.4g} m: differences in x carry {carried:g}/k_x, "
-            f"at most {carried / (k * np.sin(half)):.4g} m for a half-angle of {np.degrees(half):.3g} degrees",
+            f"spacing of pings {spacing:.4g} m: the march carries {carried:.3g}/k_x, at most "
+            f"{carried / (k * np.sin(half)):.4g} m for a half-angle of {np.degrees(half):.3g} degrees",
             stacklevel=4,
         )
     return half

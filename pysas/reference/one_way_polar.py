@@ -18,7 +18,7 @@ from pysas.echoes import Echoes
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.reference.marching import Block, March, Steps
-from pysas.reference.one_way_layout import beam_angle, columns_per_ping, edge_turn, equation, longest_step, skirt
+from pysas.reference.one_way_layout import SAMPLED, beam_angle, columns_per_ping, edge_turn, equation, longest_step, skirt
 from pysas.reference.stripmap import TOLERANCE, frequencies, matched_filter
 
 WIDEST = np.radians(60)  # from the radius; no equation here is right beyond
@@ -183,7 +183,7 @@ class _Circle:
 def _half_angle(echoes: Echoes, circle: _Circle, spacing: float, highest: float, half_angle: float | None) -> float:
     if half_angle is None and echoes.beam is not None:
         half_angle = min(echoes.beam.half_angle, 1.1)
-    half = beam_angle(echoes.replace(beam=None), spacing, highest, half_angle, True)
+    half = beam_angle(echoes.replace(beam=None), spacing, highest, half_angle, SAMPLED)
     sine = circle.radius * np.sin(half) / circle.r.min()
     if sine > np.sin(WIDEST):
         raise ValueError(
