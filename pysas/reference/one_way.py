@@ -77,7 +77,7 @@ def one_way(
         Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.2 rad;
         "carrier": c/(2 fc)/16.
     margin : int, optional
-        Columns of silence at either end, without which waves that leave come back. Default: all that half_angle can cross.
+        Columns of silence at either end, without which waves that leave come back. Default: half of what half_angle can cross.
     domains : int
         Parts of the track, each migrated on its own and in parallel, that overlap and add up.
     overlap : int, optional

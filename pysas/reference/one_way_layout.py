@@ -110,7 +110,8 @@ class Line:
         period = before + max(far, data.shape[1]) + skirt(echoes)
         line = cls(strip, data, grid, rows, z, columns, media, 0, half, highest, period)
         if margin is None:
-            margin = 0 if len(data) == 1 else min(len(data), line.crossed)
+            # what leaves must not be back at the last row
+            margin = 0 if len(data) == 1 else min(len(data), line.crossed // 2 + 8)
         return dataclasses.replace(line, margin=_checks.whole("margin", margin, 0))
 
     def split(self, domains: int, overlap: int | None) -> list[tuple[int, Line]]:
