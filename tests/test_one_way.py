@@ -39,7 +39,32 @@ def test_it_is_back_projection(narrow, angle, limit):
     assert against_exact(image, narrow) < limit
 
 
-# The experiment in 4.6 cm steps of a prototype: c/(2 fc) = 10 cm, target at 8 m, a beam cut at sines of 0.25, spacing 5 cm
+def test_raw_echoes_and_the_beam_of_the_echoes():
+    u = even(120)
+    tx = np.stack([u, 0 * u, 0 * u], axis=1)
+    pulse = pysas.LFM(100e3, 12e3, 3e-3, "tukey", 0.3)
+    raw = pysas.simulate([[0.0, 8.0, 0.0]], [1.0], pulse, tx=tx, rx=tx, fs=20e3, duration=6e-3, t0=10e-3, threads=1)
+    grid = pysas.Grid.plane(u[40:80], 7.9 + 0.05 * np.arange(5))
+    compressed = one_way(pysas.compress(raw, threads=1), grid, half_angle=0.1, threads=1)
+    assert pysas.metrics.relative_error(one_way(raw, grid, half_angle=0.1, threads=1), compressed) < 0.01
+    beam = pysas.Beam((0.0, 1.0, 0.0), 0.04, 0.1)
+    assert one_way(raw.replace(beam=beam), grid, threads=1).report.choices["half_angle"] == 0.1
+    with pytest.warns(UserWarning, match="the march carries"):
+        wide = one_way(raw.replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, np.pi)), grid, step=0.1, threads=1)
+    # pi/(k dx) at the highest frequency
+    k = 4 * np.pi * (100e3 + raw.occupied_bandwidth / 2) / C
+    assert np.sin(wide.report.choices["half_angle"]) == pytest.approx(np.pi / (0.01 * k))
+
+
+def test_a_first_row_at_the_track(narrow):
+    # nothing has moved there yet: the row is the record at t = 0, silent here
+    for angle, correction in ((15, "none"), (45, "both")):
+        grid = pysas.Grid.plane(even(300)[140:160], [0.0, 0.05])
+        image = one_way(narrow, grid, angle=angle, correction=correction, half_angle=0.08, threads=1)
+        assert np.abs(image.data).max() < 1e-3
+
+
+# The prototype's experiment: c/(2 fc) = 10 cm, target at 8 m, a beam cut at sines of 0.25, spacing 5 cm
 
 
 @pytest.fixture(scope="module")

@@ -145,6 +145,10 @@ class March:
         row = 0
         for s in chunk:
             length, speed = float(steps.length[s]), steps.speed[s]
+            if length == 0:  # a row where the march begins
+                self._row(w, part, steps, s, inside, out[row])
+                row += 1
+                continue
             same = s > chunk.start and length == steps.length[s - 1] and steps.spread[s] == steps.spread[s - 1]
             if not same or speed is not steps.speed[s - 1]:
                 solver.prepare(self.factor(length, speed, part, steps.spread[s]))
@@ -155,9 +159,13 @@ class March:
             if screen is not None:
                 w *= screen
             if steps.row[s] >= 0:
-                cycles = self.frequency[part] * steps.time[s]
-                gather(w[inside], np.exp(2j * np.pi * (cycles - np.rint(cycles))), out[row])
+                self._row(w, part, steps, s, inside, out[row])
                 row += 1
+
+    def _row(self, w: Block, part: slice, steps: Steps, s: int, inside: slice, out: Complex) -> None:
+        """Sum over frequencies at t = 0, with the plane wave put back."""
+        cycles = self.frequency[part] * steps.time[s]
+        gather(w[inside], np.exp(2j * np.pi * (cycles - np.rint(cycles))), out)
 
     def _screen(self, length: float, speed: FloatArray, part: slice, dtype: np.dtype[Any]) -> Block:
         """Half a step's turn by what 1/c differs from its mean over the columns (Strang splitting)."""

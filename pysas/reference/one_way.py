@@ -71,8 +71,8 @@ def one_way(
     weight : {"flat", "backprojection"}
         As in `omega_k`: "backprojection" gives the image that `backproject` sums, in water of one speed.
     half_angle : float, optional
-        Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam, else 15
-        degrees, or what fourth-order differences at this spacing carry if that is less.
+        Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam (at most what
+        the pings sample), else 15 degrees, or what fourth-order differences at this spacing carry if that is less.
     step : float, optional
         Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.2 rad;
         "carrier": c/(2 fc)/16.

@@ -15,6 +15,7 @@ from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.grid import Grid
+from pysas.pulse import LFM
 from pysas.reference.marching import EQUATIONS, Steps, one_way_wavenumber
 from pysas.reference.stripmap import Strip, even_ranges, prepare
 
@@ -235,6 +236,8 @@ def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float
             f"{carried / (k * np.sin(half)):.4g} m for a half-angle of {np.degrees(half):.3g} degrees",
             stacklevel=4,
         )
+        # nothing steeper comes through; a beam so wide sets no angle
+        return half if half_angle is not None else limit
     return half
 
 
@@ -254,8 +257,11 @@ def _between(values: FloatArray, fine: int) -> FloatArray:
 
 
 def skirt(echoes: Echoes) -> int:
-    """Samples that a compressed pulse reaches beyond its peak."""
-    return 16 + int(np.ceil(4 * echoes.fs / echoes.occupied_bandwidth))
+    """Samples that an echo reaches beyond its travel time: of a compressed pulse its side lobes, of a raw one all of it."""
+    length = 0.0
+    if not echoes.compressed and echoes.pulse is not None:
+        length = echoes.pulse.duration * echoes.fs if isinstance(echoes.pulse, LFM) else float(echoes.pulse.size)
+    return 16 + int(np.ceil(4 * echoes.fs / echoes.occupied_bandwidth + length))
 
 
 def _default_grid(strip: Strip, columns: int) -> Grid:

@@ -20,7 +20,7 @@ from pysas._checks import FloatArray
 
 KINDS = ("bv", "tv", "h1")
 _SMALLEST = 1e-4  # of delta, or for TV of 1: below it phi' stays, so that flat parts keep a finite weight
-_CG = 1e-6  # relative residual of the conjugate gradients, from the last iterate on
+_CG = 1e-5  # relative residual of the conjugate gradients, from the last iterate on
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +198,12 @@ def _discrepancy(problem: _Problem, noise: float) -> float:
     most = float(np.std(problem.data))
     if noise >= most:
         raise ValueError(f"noise: {noise / most:.3g} of the image's own deviation: expected less, nothing would be left of it")
-    low, high = -4.0, 4.0
+    low = -4.0
     while excess(low) > 0:
         low -= 4.0
-    while excess(high) < 0:
-        high += 4.0
+    high = low + 1.0
+    while excess(high) < 0:  # small steps: solutions for too large a beta cost the most
+        low, high = high, high + 1.0
     return float(np.exp(brentq(excess, low, high, xtol=0.02)))
 
 
