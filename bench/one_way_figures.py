@@ -193,7 +193,7 @@ def scene(path, threads):
         show(ax, data, x, first + apart / 2 + 2 * apart * np.arange(len(data)), name, 36, 1.2 * np.quantile(data, 0.999))
         ax.set_ylabel("slant range, m", fontsize=7)
     axes[3].set(xlabel="x, m", ylim=(NEAR, FAR))
-    made.savefig(path, dpi=85, pil_kwargs={"quality": 55})
+    made.savefig(path, dpi=85, pil_kwargs={"quality": 50})
     print(f"one-way {one_seconds:.1f} s, enhancement {better_seconds:.1f} s, omega-k {omega_seconds:.1f} s")
     print(image.report.choices, f"beta {better.beta:.3g}, {better.iterations} iterations, converged {better.converged}")
 

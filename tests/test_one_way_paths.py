@@ -123,27 +123,69 @@ def ring(mode, radius, depth, k):
     return pysas.Echoes(data, fs=fs, fc=fc, tx=tx, rx=tx, c=C, t0=float(t[0]), bandwidth=600.0), t, pulse, phi
 
 
-@pytest.mark.parametrize(("radius", "r"), [(3.0, 6.0), (4.5, 3.0)])
-def test_polar_against_hankel_functions(radius, r):
+@pytest.mark.parametrize(("radius", "r", "sine"), [(3.0, 6.0, 0.2), (4.5, 3.0, 0.2)])
+def test_polar_against_hankel_functions(radius, r, sine):
     # waves exp(j m phi) sqrt(k r) H_m(k r), alpha and beta of the equation give the phase error of its 15 and 45 degrees
     k, depth = 200.0, abs(r - radius)
-    for sine in (0.05, 0.2):
-        mode = round(k * radius * sine)
-        echoes, t, pulse, phi = ring(mode, radius, depth, k)
-        f = np.arange(-300.0, 301.0, 10.0)
-        spectrum = np.exp(-2j * np.pi * np.outer(f, t)) @ pulse
-        wave = 4 * np.pi * (echoes.fc + f) / C
-        place = np.linspace(radius, r, 3001)
-        turn = np.unwrap(np.angle(hankel1e(mode, wave[:, None] * place)), axis=1)
-        advance = np.sign(r - radius) * (turn[:, -1] - turn[:, 0]) + wave * depth
-        expected = 10.0 * np.sum(spectrum * np.exp(1j * advance)) / echoes.fs * np.sqrt(radius / r)
-        for angle, terms in list(EQUATIONS.items())[:2]:
-            # far from the seam of the circle, where the record goes on as it is but differences end
-            grid = pysas.Grid.polar([r], phi[phi.size // 2 : phi.size // 2 + 1])
-            found = one_way_polar(echoes, grid, angle=angle, half_angle=0.21, step=0.005, threads=1).data.item()
-            found /= np.cos(mode * phi[phi.size // 2])
-            sine2 = (mode**2 - 0.25) / (k * place) ** 2
-            approximate = terms[0] * sine2 / (1 - terms[1] * sine2)
-            error = np.trapezoid(k * (1 - approximate - np.sqrt(1 - sine2)), np.abs(place - radius))
-            assert abs(found) == pytest.approx(abs(expected), rel=0.02)
-            assert np.angle(found / expected) == pytest.approx(error, abs=0.005)
+    mode = round(k * radius * sine)
+    echoes, t, pulse, phi = ring(mode, radius, depth, k)
+    f = np.arange(-300.0, 301.0, 10.0)
+    spectrum = np.exp(-2j * np.pi * np.outer(f, t)) @ pulse
+    wave = 4 * np.pi * (echoes.fc + f) / C
+    place = np.linspace(radius, r, 3001)
+    turn = np.unwrap(np.angle(hankel1e(mode, wave[:, None] * place)), axis=1)
+    advance = np.sign(r - radius) * (turn[:, -1] - turn[:, 0]) + wave * depth
+    expected = 10.0 * np.sum(spectrum * np.exp(1j * advance)) / echoes.fs * np.sqrt(radius / r)
+    for angle, terms in list(EQUATIONS.items())[:2]:
+        # far from the seam of the circle, where the record goes on as it is but differences end
+        grid = pysas.Grid.polar([r], phi[phi.size // 2 : phi.size // 2 + 1])
+        found = one_way_polar(echoes, grid, angle=angle, half_angle=0.21, step=0.0075, threads=1).data.item()
+        found /= np.cos(mode * phi[phi.size // 2])
+        sine2 = (mode**2 - 0.25) / (k * place) ** 2
+        approximate = terms[0] * sine2 / (1 - terms[1] * sine2)
+        error = np.trapezoid(k * (1 - approximate - np.sqrt(1 - sine2)), np.abs(place - radius))
+        assert abs(found) == pytest.approx(abs(expected), rel=0.02)
+        assert np.angle(found / expected) == pytest.approx(error, abs=0.005)
+
+
+def arc(side=1.0, target=5.0, backwards=False):
+    """Pings every 1 cm on 2 m of a circle of 4 m, looking out or in."""
+    phi = 0.0025 * (np.arange(200) - 100)[:: -1 if backwards else 1]
+    unit = np.stack([np.cos(phi), np.sin(phi)], axis=1)
+    return survey(4.0 * unit, side * unit, [(target, 0.0)], abs(target - 4.0) - 0.5, 30), phi
+
+
+@pytest.mark.parametrize(("side", "target"), [(1.0, 5.0), (-1.0, 3.2)])
+def test_polar_is_back_projection(side, target):
+    echoes, phi = arc(side, target)
+    r = target + 0.03 * np.arange(-6, 7)
+    grid = pysas.Grid.polar(r, phi[80:121])
+    image = one_way_polar(echoes, grid, half_angle=0.15, threads=1)
+    # stationary phase of the sum over pings: sqrt(2 pi |r - R|/k) exp(j pi/4)/spacing for waves along the radius at fc; as
+    # 1/sqrt(k) the ends of the band differ by 4 %, as cos^(-3/2) the edge of the beam by 2 %
+    weight = np.sqrt(2 * np.pi * np.abs(r - 4.0) * C / (4 * np.pi * FC)) * np.exp(0.25j * np.pi) / 0.01
+    assert error(image.data * weight, echoes, grid) < 0.03
+    back, _ = arc(side, target, backwards=True)
+    again = one_way_polar(back, grid, half_angle=0.15, threads=2)
+    np.testing.assert_allclose(again.data, image.data, rtol=0, atol=1e-9 * np.abs(image.data).max())
+
+
+def test_what_one_way_polar_refuses():
+    echoes, phi = arc()
+    grid = pysas.Grid.polar([4.9, 5.0], phi[:3])
+    for bad, message in (
+        (pysas.Grid.polar([3.9, 5.0], phi[:3]), "all on one side of the circle"),
+        (pysas.Grid.polar([0.5], phi[:3]), r"at r=0\.5 m the half-angle of 8\.59 degrees .* expected r >= 0\.690[0-9]* m"),
+        (pysas.Grid.polar([5.0], phi[:1] + 0.001), "angle=-0.249 rad at column 0: expected the angle of a ping"),
+        (pysas.Grid.polar([5.0], phi[:1], (0.1, 0.0, 0.0)), "tx at ping .* from a monostatic circle"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            one_way_polar(echoes, bad, half_angle=0.15)
+    with pytest.raises(ValueError, match="non-finite sample at ping 7"):
+        data = echoes.data.copy()
+        data[7, 3] = np.nan
+        one_way_polar(echoes.replace(data=data), grid)
+    with pytest.raises(ValueError, match="rx at ping 0"):
+        one_way_polar(echoes.replace(rx=echoes.rx + 0.1), grid)
+    with pytest.raises(TypeError, match="expected a pysas.Grid.polar"):
+        one_way_polar(echoes, pysas.Grid.plane([0.0], [1.0]))

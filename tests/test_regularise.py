@@ -7,7 +7,7 @@ from pysas.reference import enhance, noise_level
 from pysas.reference.regularise import phi
 
 
-def picture(n=48, noise=0.1):
+def picture(n=40, noise=0.1):
     """Disc, ramp and smooth blob, in [0, 1], and the same under white noise."""
     y, x = np.mgrid[:n, :n] / n
     clean = 0.6 * (np.hypot(x - 0.3, y - 0.35) < 0.18) + 0.5 * x * (y > 0.65)
