@@ -1,8 +1,11 @@
 """Independent answers that validate the engines; none of them imports an engine."""
 
+from pysas.reference import ftcg, rasters
 from pysas.reference.chirp_scaling import chirp_scaling
 from pysas.reference.correlation import correlation
 from pysas.reference.direct import exact
+from pysas.reference.frames import Frame, FrameSolution, Sampling
+from pysas.reference.gridding import Gaussian, Gridding, KaiserBessel, Synthesis, pipe_menon, voronoi
 from pysas.reference.looks import Looks, looks
 from pysas.reference.motion import motion_compensate
 from pysas.reference.omega_k import omega_k
@@ -14,6 +17,7 @@ from pysas.reference.range_doppler import range_doppler
 from pysas.reference.regularise import Enhanced, enhance, noise_level
 
 __all__ = [
-    "Enhanced", "Looks", "chirp_scaling", "correlation", "enhance", "exact", "looks", "map_to_line", "motion_compensate",
-    "noise_level", "omega_k", "one_way", "one_way_polar", "phase_centres", "range_doppler",
+    "Enhanced", "Frame", "FrameSolution", "Gaussian", "Gridding", "KaiserBessel", "Looks", "Sampling", "Synthesis",
+    "chirp_scaling", "correlation", "enhance", "exact", "ftcg", "looks", "map_to_line", "motion_compensate", "noise_level",
+    "omega_k", "one_way", "one_way_polar", "phase_centres", "pipe_menon", "range_doppler", "rasters", "voronoi",
 ]  # fmt: skip
