@@ -4,10 +4,12 @@ from pysas.reference import ftcg, rasters
 from pysas.reference.chirp_scaling import chirp_scaling
 from pysas.reference.correlation import correlation
 from pysas.reference.direct import exact
+from pysas.reference.fourier_image import fourier_image
 from pysas.reference.frames import Frame, FrameSolution, Sampling
 from pysas.reference.gridding import Gaussian, Gridding, KaiserBessel, Synthesis, pipe_menon, voronoi
 from pysas.reference.looks import Looks, looks
 from pysas.reference.motion import motion_compensate
+from pysas.reference.nufft import nufft
 from pysas.reference.omega_k import omega_k
 from pysas.reference.one_way import one_way
 from pysas.reference.one_way_curved import map_to_line
@@ -18,6 +20,7 @@ from pysas.reference.regularise import Enhanced, enhance, noise_level
 
 __all__ = [
     "Enhanced", "Frame", "FrameSolution", "Gaussian", "Gridding", "KaiserBessel", "Looks", "Sampling", "Synthesis",
-    "chirp_scaling", "correlation", "enhance", "exact", "ftcg", "looks", "map_to_line", "motion_compensate", "noise_level",
-    "omega_k", "one_way", "one_way_polar", "phase_centres", "pipe_menon", "range_doppler", "rasters", "voronoi",
+    "chirp_scaling", "correlation", "enhance", "exact", "fourier_image", "ftcg", "looks", "map_to_line", "motion_compensate",
+    "noise_level", "nufft", "omega_k", "one_way", "one_way_polar", "phase_centres", "pipe_menon", "range_doppler", "rasters",
+    "voronoi",
 ]  # fmt: skip

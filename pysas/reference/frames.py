@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.reference.gridding import Complex, Window, points_and_modes
 
-DENSE = 5e7  # most entries of a matrix that is decomposed (0.4 GB)
+DENSE = 1e7  # most entries of a matrix that is decomposed: 80 MB, some ten seconds
 
 
 class Sampling(LinearOperator):
@@ -145,8 +145,8 @@ class Frame:
             if np.any(given < 0):
                 raise ValueError(f"weights: {given.min():g} at sample {int(given.argmin())}: expected weights >= 0")
             self.root = np.sqrt(given)
-        least = max(m, count) * np.finfo(np.float64).eps
-        self.rcond = least if rcond is None else _checks.number("rcond", rcond, low=0.0, high=1.0)
+        self._least = max(m, count) * np.finfo(np.float64).eps
+        self.rcond = self._least if rcond is None else _checks.number("rcond", rcond, low=0.0, high=1.0)
 
     @cached_property
     def _svd(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -215,9 +215,10 @@ class Frame:
         data : (M,) or (M, K) real or complex
             Samples fhat(lambda_j) of one or K data sets.
         method : {"svd", "lsmr"}
-            Truncated SVD, or LSMR (Fong and Saunders 2011) with the operator alone.
+            Truncated SVD, or LSMR (Fong and Saunders 2011) with the operator alone. An `rcond` above the default then damps
+            instead, by rcond times the largest singular value (of a power iteration).
         preconditioner : LinearOperator (L, M), optional
-            For LSMR: c = P y is sought (`ftcg.FTCG.operator` with Eq 20's C is one).
+            For LSMR: c = P y is sought (`ftcg.FTCG.operator` is one), without damping.
         accuracy : float
             LSMR stops at this relative size of the residual of the normal equations (its atol and btol).
         iterations : int, optional
@@ -235,7 +236,7 @@ class Frame:
         m, count = self.sampling.shape
         _checks.choice("method", method, ("svd", "lsmr"))
         samples = finite_samples("data", data, m)
-        columns = self.root[:, None] * samples.reshape(m, -1)
+        columns = self.root[:, None] * np.asarray(samples, dtype=np.complex128).reshape(m, -1)
         if method == "svd":
             u, s, v = self._svd
             kept = slice(0, self.rank)
@@ -246,16 +247,17 @@ class Frame:
             limit = 10 * max(m, count) if iterations is None else _checks.whole("iterations", iterations)
             system = _Weighted(self.sampling, self.root)
             inner = system if preconditioner is None else system @ preconditioner
+            damp = self.rcond * _norm(system) if preconditioner is None and self.rcond > self._least else 0.0
             found, used, failed = np.zeros((count, columns.shape[1]), dtype=np.complex128), 0, False
             for k in range(columns.shape[1]):
-                result = lsmr(inner, columns[:, k], atol=accuracy, btol=accuracy, conlim=0, maxiter=limit)
+                result = lsmr(inner, cast(Any, columns[:, k]), damp, atol=accuracy, btol=accuracy, conlim=0, maxiter=limit)
                 found[:, k] = result[0] if preconditioner is None else preconditioner @ result[0]
                 used, failed = max(used, int(result[2])), failed or result[1] not in (0, 1, 2, 4, 5)
         missed = self.root[:, None] * (self.sampling @ found) - columns
         size = float(np.linalg.norm(columns))
         shape = (count, *samples.shape[1:])
         return FrameSolution(
-            found.astype(np.complex128).reshape(shape), float(np.linalg.norm(missed)) / size if size > 0 else 0.0, used, failed
+            np.asarray(found).reshape(shape), float(np.linalg.norm(missed)) / size if size > 0 else 0.0, used, failed
         )
 
 
@@ -271,6 +273,19 @@ class _Weighted(LinearOperator):
 
     def _rmatvec(self, x: npt.NDArray[Any]) -> Complex:
         return np.asarray(self._sampling.H @ (self._root * x.ravel()))
+
+
+def _norm(system: _Weighted) -> float:
+    """Largest singular value, from below, within some per cent."""
+    vector = np.ones(system.shape[1], dtype=np.complex128)
+    size = 0.0
+    for _ in range(10):
+        vector = np.asarray(system.H @ (system @ vector))
+        size = float(np.linalg.norm(vector))
+        if size == 0:
+            break
+        vector /= size
+    return float(np.sqrt(size))
 
 
 def finite_samples(name: str, data: npt.ArrayLike, m: int) -> npt.NDArray[Any]:

@@ -111,7 +111,7 @@ def design(
         Regularisation of "joint", >= 0.
     parts : bool, optional
         "lsq": take Psi^+ from the surroundings of each cell of samples, so that cost is O(M). Default: where Psi has more
-        than 5e7 entries.
+        than 1e7 entries.
     threads : int, optional
         For parts; default PYSAS_NUM_THREADS or all processors. The result is the same for any number.
 
@@ -246,8 +246,12 @@ def _joint(frame: Frame, omega: Gridding, near: list[Row], mu: float) -> list[Fl
     gram, data = (omega.sparse.T @ omega.sparse).toarray(), psi @ psi.T
     normal = gram[np.ix_(row, row)] * data[np.ix_(column, column)]
     right = np.asarray(omega.sparse.T @ psi.T)[row, column]
-    normal[np.diag_indices_from(normal)] += mu * np.trace(normal) / row.size
-    value, *_ = scipy.linalg.lstsq(normal, right) if mu == 0 else (scipy.linalg.solve(normal, right, assume_a="pos"),)
+    ridge = mu * np.trace(normal) / row.size
+    if ridge > 0:
+        normal[np.diag_indices_from(normal)] += ridge
+        value = scipy.linalg.solve(normal, right, assume_a="pos")
+    else:  # mu = 0, or no sample reaches a mode
+        value = scipy.linalg.lstsq(normal, right)[0]
     value = np.asarray(value) * frame.root[column]
     return np.split(value, np.cumsum([len(i) for i in near])[:-1])
 

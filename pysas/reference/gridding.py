@@ -21,7 +21,7 @@ import scipy.fft
 import scipy.sparse
 from numba import njit
 from scipy.sparse.linalg import LinearOperator
-from scipy.spatial import QhullError, Voronoi, cKDTree
+from scipy.spatial import QhullError, Voronoi
 from scipy.special import i0e, wofz
 
 from pysas import _checks
@@ -153,6 +153,20 @@ def points_and_modes(points: Any, modes: Any) -> tuple[FloatArray, tuple[int, ..
     return array, tuple(_checks.whole("modes", n, low=0) for n in each)
 
 
+def taps(places: FloatArray, window: Window) -> tuple[Index, list[FloatArray]]:
+    """First grid points (M, 2) within reach of `places` (M, d) and the kernel there, (M, taps) for each of two axes."""
+    count = int(np.floor(2 * window.reach)) + 1
+    first = np.zeros((len(places), 2), dtype=np.intp)
+    weights = []
+    for axis, place in enumerate(places.T):
+        lowest = np.ceil(place - window.reach)
+        weights.append(window.kernel(lowest[:, None] + np.arange(count) - place[:, None]))
+        first[:, axis] = np.clip(lowest, -(2.0**40), 2.0**40)  # far beyond any grid: no tap of it lands
+    if len(weights) == 1:
+        weights.append(np.ones((len(places), 1)))
+    return first, weights
+
+
 class Gridding(LinearOperator):
     """Omega of Eq 3: M samples to the (2 n + 1)^d modes of f w, entries what(l - lambda_j) for |l - lambda_j| <= reach.
 
@@ -180,26 +194,17 @@ class Gridding(LinearOperator):
         self.window = window
         sizes = [2 * n + 1 for n in self.modes]
         super().__init__(np.dtype(np.float64), (int(np.prod(sizes)), len(self.points)))  # type: ignore[call-arg]  # the stubs know __new__ alone
-        count = int(np.floor(2 * window.reach)) + 1
-        first = np.zeros((len(self.points), 2), dtype=np.int64)
-        weights = []
-        for axis, n in enumerate(self.modes):
-            lowest = np.ceil(self.points[:, axis] - window.reach)
-            weights.append(window.kernel(lowest[:, None] + np.arange(count) - self.points[:, axis, None]))
-            first[:, axis] = np.clip(lowest + n, -(2**40), 2**40)
-        if len(sizes) == 1:
-            sizes.append(1)
-            weights.append(np.ones((len(self.points), 1)))
-        self._first, self._weights, self._sizes = first, weights, (sizes[0], sizes[1])
+        self._first, self._weights = taps(self.points + np.array(self.modes), window)
+        self._sizes = (sizes[0], sizes[1] if len(sizes) == 2 else 1)
 
     def _matvec(self, x: npt.NDArray[Any]) -> Complex:
         out = np.zeros(self._sizes, dtype=np.complex128)
-        _spread(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).ravel(), out)
+        spread(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).ravel(), out)
         return out.ravel()
 
     def _rmatvec(self, x: npt.NDArray[Any]) -> Complex:
         out = np.empty(len(self.points), dtype=np.complex128)
-        _gather(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).reshape(self._sizes), out)
+        gather(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).reshape(self._sizes), out)
         return out
 
     @cached_property
@@ -326,8 +331,8 @@ def pipe_menon(points: npt.ArrayLike, iterations: int = 30) -> FloatArray:
     Returns
     -------
     (M,) float64, > 0
-        Weights whose sum under the kernel is near 1 at every sample; where the raster is sparser than the kernel they level
-        off at (2 pi 0.5^2)^(d/2), 1.25 or 1.57 Nyquist cells, while Voronoi cells grow without bound.
+        Weights whose sum under the kernel, of standard deviation 1/2, is near 1 at every sample. Where the raster is sparser
+        they level off at (2 pi 0.5^2)^(d/2), 1.25 or 1.57 Nyquist cells; Voronoi cells grow without bound.
 
     Raises
     ------
@@ -336,23 +341,25 @@ def pipe_menon(points: npt.ArrayLike, iterations: int = 30) -> FloatArray:
 
     Notes
     -----
-    O(iterations M N) for N samples within 3 Nyquist spacings of each.
+    K is Omega^T Omega of a narrower Gaussian on a grid of a third of Nyquist's spacing (its Gaussian shape is right to 1e-3):
+    O(iterations M), and memory for that grid over the raster's extent.
     """
     array, modes = points_and_modes(points, 0)
     _checks.whole("iterations", iterations)
-    tree = cKDTree(array)
-    near = tree.sparse_distance_matrix(tree, 6 * _PIPE_WIDTH, output_type="coo_matrix").tocsr()
-    # pairs at distance 0 (a sample with itself, coincident ones) are stored too: exp(0) = 1 counts them
-    near.data = np.exp(-(near.data**2) / (2 * _PIPE_WIDTH**2)) / (2 * np.pi * _PIPE_WIDTH**2) ** (len(modes) / 2)
+    finer = 3
+    window = Gaussian(np.sqrt(2) / (np.pi * finer * _PIPE_WIDTH), 4 * finer * _PIPE_WIDTH / np.sqrt(2), line=True)
+    places = finer * (array - (array.min(axis=0) + array.max(axis=0)) / 2)
+    sizes = tuple(int(n) for n in np.ceil(np.abs(places).max(axis=0) + window.reach))
+    omega = Gridding(places, sizes, window)
     weight = np.ones(len(array))
     for _ in range(iterations):
-        weight = weight / np.asarray(near @ weight)
-    return weight
+        weight = weight / (np.real(omega.H @ (omega @ weight)) * finer ** len(modes))
+    return np.asarray(weight)
 
 
 # Kernels: they trust their arguments.
 @njit(nogil=True, cache=True)
-def _spread(first, weights0, weights1, values, out):  # type: ignore[no-untyped-def]
+def spread(first, weights0, weights1, values, out):  # type: ignore[no-untyped-def]
     """out[first_j + (a, b)] += weights0[j, a] weights1[j, b] values[j], entries beyond `out` left out."""
     for j in range(values.size):
         row, column = first[j, 0], first[j, 1]
@@ -364,8 +371,8 @@ def _spread(first, weights0, weights1, values, out):  # type: ignore[no-untyped-
 
 
 @njit(nogil=True, cache=True)
-def _gather(first, weights0, weights1, grid, out):  # type: ignore[no-untyped-def]
-    """The adjoint of `_spread`."""
+def gather(first, weights0, weights1, grid, out):  # type: ignore[no-untyped-def]
+    """The adjoint of `spread`."""
     for j in range(out.size):
         row, column = first[j, 0], first[j, 1]
         begin, end = max(0, -column), min(weights1.shape[1], grid.shape[1] - column)
