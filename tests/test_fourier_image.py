@@ -230,13 +230,13 @@ def test_inversions_of_a_circular_track():
     echoes = pysas.Echoes(data, fs=fs, fc=FC, tx=track.position, rx=track.position, c=C, t0=start, bandwidth=band)
     grid = pysas.Grid.plane(0.001 * np.arange(-8, 9), 0.001 * np.arange(-8, 9))
     image, _ = exact(echoes, grid)
-    for method in ("gridding", "frame", "ftcg"):
+    for method, limit in (("gridding", 0.1), ("frame", 0.2), ("ftcg", 0.3)):
         found = fourier_image(echoes, grid, method, error=0.1, threads=1)
         assert found.report.choices["patches"] == 1
         i, j = np.unravel_index(np.argmax(np.abs(found.data)), grid.shape)
         assert (grid.axes["x"][j], grid.axes["y"][i]) == pytest.approx(place[:2])
-        # the same ring of wavenumbers: the same Bessel function, but for how its radii are weighted
-        assert pysas.metrics.relative_error(gridding_scenes.fitted(image, found.data), image) < 0.2
+        # the same ring of wavenumbers: the same Bessel function, but for how radii are weighted and what the modes leave over
+        assert pysas.metrics.relative_error(gridding_scenes.fitted(image, found.data), image) < limit
 
 
 BAD = {
