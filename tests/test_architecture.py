@@ -34,7 +34,7 @@ EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = ("pysas.engine", "pysas.planner", "pysas.backprojection", "pysas.factorised", "pysas.forest", "pysas.view_angles")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
-OPTIONAL = {"matplotlib", "h5py", "xarray"}
+OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {

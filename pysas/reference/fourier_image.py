@@ -18,7 +18,7 @@ from pysas.image import Image, Report
 from pysas.reference import ftcg
 from pysas.reference.frames import DENSE, Frame
 from pysas.reference.gridding import Complex, Gaussian, Gridding, pipe_menon
-from pysas.reference.nufft import LIBRARIES, nufft
+from pysas.reference.nufft import LIBRARIES, nufft, which
 from pysas.reference.patches import Patch, Survey, samples, sectors, tiles
 
 METHODS = ("nufft", "gridding", "frame", "ftcg")
@@ -54,8 +54,8 @@ def fourier_image(
         that a point in the middle of a patch has its back-projected amplitude: "gridding" with density weights (Pipe and
         Menon), "frame" by truncated SVD or, with more than 1e7 entries, LSMR, "ftcg" with a designed band.
     error : float
-        Largest rms over pings of the phase (rad) that plane waves may leave at a patch's worst point; for "nufft" a bound of
-        the relative error where the traces' energies are alike. In [1e-6, 1].
+        Largest phase (rad) that plane waves may leave at a patch's worst point, rms over pings weighed by their energy there:
+        with "nufft" the relative error against `exact` stays below it. In [1e-6, 1].
     tiled : bool
         True: halve the grid into patches that keep `error`. False: one patch, or an error.
     correct : bool
@@ -80,6 +80,8 @@ def fourier_image(
     ValueError, TypeError
         Another kind of grid, raw echoes, a beam, a non-finite sample, an argument outside its range; with tiled=False a grid
         beyond the limit of plane waves.
+    ImportError
+        library="finufft" and it is not installed.
 
     Notes
     -----
@@ -93,7 +95,7 @@ def fourier_image(
     clock = time.perf_counter()
     survey = _checked(echoes, grid)
     _checks.choice("method", method, METHODS)
-    _checks.choice("library", library, LIBRARIES)
+    used = which(_checks.choice("library", library, LIBRARIES))
     error = _checks.number("error", error, low=1e-6, high=1.0)
     r, rcond = _checks.whole("r", r, low=0), _checks.number("rcond", rcond, low=0.0, high=1.0)
     workers = _checks.threads(threads)
@@ -115,7 +117,7 @@ def fourier_image(
     def task(number: int) -> None:
         part = parts[number]
         if method == "nufft":
-            values, counts[number] = _summed(part, error, library)
+            values, counts[number] = _summed(part, error, used)
         else:
             values, counts[number], ill_posed[number] = _inverted(part, method, error, r, rcond)
         image[part.rows, part.columns] = values.reshape(part.rows.stop - part.rows.start, -1)
@@ -130,7 +132,9 @@ def fourier_image(
     report = Report(
         f"fourier, {method}", backend="numba", threads=workers, prepare_seconds=prepared - clock,
         sum_seconds=time.perf_counter() - prepared, terms=sum(counts), predicted_error=max(p.error for p in parts),
-        choices={"error": error, "patches": len(parts), "sectors": len(surveys), "correct": correct}, notes=tuple(notes),
+        choices={"error": error, "patches": len(parts), "sectors": len(surveys), "correct": correct}
+        | ({"library": used} if method == "nufft" else {}),
+        notes=tuple(notes),
     )  # fmt: skip
     return Image(image, grid, report, echoes.fc, echoes.c)
 

@@ -7,7 +7,7 @@ to an even grid of points and gathered at the targets, with Kaiser-Bessel kernel
 
 from __future__ import annotations
 
-from typing import Any
+import importlib.util
 
 import numpy as np
 import numpy.typing as npt
@@ -68,22 +68,22 @@ def nufft(
         raise ValueError(f"strengths: expected shape ({len(k)},), found {values.shape}")
     accuracy = _checks.number("accuracy", accuracy, low=1e-13, high=0.1)
     _checks.choice("library", library, LIBRARIES)
-    found = None if library == "own" else _finufft(library)
     values = np.asarray(values, dtype=np.complex128)
-    if found is not None:
+    if which(library) == "finufft":
+        from finufft import nufft2d3
+
         arguments = [np.ascontiguousarray(axis) for axis in (*k.T, *x.T)]
-        return np.asarray(found(*arguments[:2], values, *arguments[2:], isign=1, eps=accuracy, nthreads=1))
+        return np.asarray(nufft2d3(*arguments[:2], values, *arguments[2:], isign=1, eps=accuracy, nthreads=1))
     return _two_griddings(k, values, x, accuracy)
 
 
-def _finufft(library: str) -> Any:
-    try:
-        from finufft import nufft2d3
-    except ImportError:
+def which(library: str) -> str:
+    """The library that `library` stands for here; ImportError where it is not installed."""
+    if library != "own" and importlib.util.find_spec("finufft") is None:
         if library == "finufft":
-            raise _checks.optional("finufft", "nufft") from None
-        return None
-    return nufft2d3
+            raise _checks.optional("finufft", "nufft")
+        return "own"
+    return "own" if library == "own" else "finufft"
 
 
 def _two_griddings(k: FloatArray, values: Complex, x: FloatArray, accuracy: float) -> Complex:

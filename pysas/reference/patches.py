@@ -35,6 +35,8 @@ class Survey:
         m, m/s.
     start : (trace,)
         Time of sample 0, s.
+    energy : (trace, sample + 1)
+        Running sum of |sample|^2.
     frequency : float
         sqrt(fc^2 + bandwidth^2/12), Hz.
     """
@@ -45,6 +47,7 @@ class Survey:
     rx: FloatArray
     velocity: FloatArray
     start: FloatArray
+    energy: FloatArray
     frequency: float
 
     @classmethod
@@ -55,13 +58,16 @@ class Survey:
         velocity = np.zeros_like(rx) if echoes.receiver_velocity is None else echoes.receiver_velocity.reshape(-1, 3)
         frequency = float(np.sqrt(echoes.fc**2 + echoes.occupied_bandwidth**2 / 12))
         tx, start = np.repeat(echoes.tx, channels, axis=0), np.repeat(echoes.start_time, channels)
-        return cls(echoes, np.arange(len(rx)), tx, rx, velocity, start, frequency)
+        traces = echoes.traces.reshape(len(rx), -1)
+        energy = np.zeros((len(rx), echoes.n_sample + 1))
+        np.cumsum(traces.real.astype(np.float64) ** 2 + traces.imag.astype(np.float64) ** 2, axis=1, out=energy[:, 1:])
+        return cls(echoes, np.arange(len(rx)), tx, rx, velocity, start, energy, frequency)
 
     def of_traces(self, chosen: Index) -> Survey:
         """Some of the traces."""
         return dataclasses.replace(
             self, number=self.number[chosen], tx=self.tx[chosen], rx=self.rx[chosen], velocity=self.velocity[chosen],
-            start=self.start[chosen],
+            start=self.start[chosen], energy=self.energy[chosen],
         )  # fmt: skip
 
     def delays(self, points: FloatArray) -> FloatArray:
@@ -122,7 +128,8 @@ class Patch:
     parts : tuple of Expansion
         One for each sector of the aperture.
     error : float
-        Largest rms over traces of the phase left, rad, over points of the patch.
+        Phase left at the patch's worst point, rad: rms over traces, each weighed by its energy in the patch's delays, which is
+        what a relative error against the incoherent level is. Alike where no trace has any.
     """
 
     rows: slice
@@ -155,7 +162,7 @@ def patch(surveys: list[Survey], x: FloatArray, y: FloatArray, z: float, rows: s
     probes = np.linspace(-0.5, 0.5, _PROBES)
     at = np.stack(np.meshgrid(probes * np.ptp(xs), probes * np.ptp(ys)), axis=-1).reshape(-1, 2)
     around = centre + np.concatenate([at, np.zeros((len(at), 1))], axis=1)
-    parts, left, traces = [], np.zeros(len(at)), 0
+    parts, squares, weights = [], [], []
     for survey in surveys:
         delay = survey.delays(centre[None])[:, 0]
         gradient, hessian = _derivatives(survey, centre, delay)
@@ -165,9 +172,22 @@ def patch(surveys: list[Survey], x: FloatArray, y: FloatArray, z: float, rows: s
             bend = np.einsum("it,tjk->ijk", np.linalg.pinv(gradient, rcond=1e-6), hessian) / 2
         parts.append(Expansion(survey, delay, gradient, bend))
         rest = survey.delays(around) - delay[:, None] - gradient @ parts[-1].targets(at).T
-        left += np.sum((2 * np.pi * survey.frequency * rest) ** 2, axis=0)
-        traces += len(delay)
-    return Patch(rows, columns, centre, mesh, tuple(parts), float(np.sqrt(left.max() / traces)))
+        squares.append((2 * np.pi * survey.frequency * rest) ** 2)
+        weights.append(_energy(survey, delay, gradient @ at.T))
+    weight = np.concatenate(weights)
+    weight = weight if weight.any() else np.ones(weight.size)
+    error = np.sqrt(np.max(weight @ np.concatenate(squares)) / weight.sum())
+    return Patch(rows, columns, centre, mesh, tuple(parts), float(error))
+
+
+def _energy(survey: Survey, delay: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Energy (trace,) of the samples within the delays delay + offsets (trace, point)."""
+    n = survey.echoes.n_sample
+    place = (delay - survey.start) * survey.echoes.fs
+    first = np.clip(np.floor(place + offsets.min(axis=1) * survey.echoes.fs), 0, n).astype(np.intp)
+    last = np.clip(np.ceil(place + offsets.max(axis=1) * survey.echoes.fs) + 1, 0, n).astype(np.intp)
+    index = np.arange(len(delay))
+    return np.asarray(survey.energy[index, np.maximum(last, first)] - survey.energy[index, first])
 
 
 def _derivatives(survey: Survey, centre: FloatArray, delay: FloatArray) -> tuple[FloatArray, FloatArray]:
