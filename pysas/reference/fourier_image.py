@@ -22,6 +22,7 @@ from pysas.reference.nufft import LIBRARIES, nufft, which
 from pysas.reference.patches import Patch, Survey, samples, sectors, tiles
 
 METHODS = ("nufft", "gridding", "frame", "ftcg")
+_PHASE, _SAMPLES = 0.8, 0.1  # shares of `error`: phase left by plane waves, cuts of traces, non-uniform FFT (twice the second)
 _WINDOW = Gaussian(line=True)
 _CELLS = 2.0  # range resolution cells in half a domain, at least: a pulse's response must fit into it
 _WIDER = 1.25  # an inversion's domain over its patch: echoes from just outside are then explained, not forced inside
@@ -54,8 +55,8 @@ def fourier_image(
         that a point in the middle of a patch has its back-projected amplitude: "gridding" with density weights (Pipe and
         Menon), "frame" by truncated SVD or, with more than 1e7 entries, LSMR, "ftcg" with a designed band.
     error : float
-        Largest phase (rad) that plane waves may leave at a patch's worst point, rms over pings weighed by their energy there:
-        with "nufft" the relative error against `exact` stays below it. In [1e-6, 1].
+        Largest error at a patch's worst point, in [1e-6, 1]: the phase (rad) that plane waves leave, rms over pings weighed by
+        their energy there, and the samples' own. With "nufft" the relative error against `exact` stays below it.
     tiled : bool
         True: halve the grid into patches that keep `error`. False: one patch, or an error.
     correct : bool
@@ -72,7 +73,7 @@ def fourier_image(
     Returns
     -------
     Image
-        complex128. `report.predicted_error` is the worst patch's phase; `report.choices` and `notes` tell of patches, and how
+        complex128. `report.predicted_error` is the worst patch's; `report.choices` and `notes` tell of patches, and how
         many inversions were ill-posed.
 
     Raises
@@ -87,7 +88,8 @@ def fourier_image(
     -----
     Without `correct` the phase left at d across the look direction from a patch's middle is k d^2/R, k = 2 pi fc/c. Corrected,
     what remains is how that differs over the aperture, and the third order. A patch costs the FFTs of its traces' cuts and
-    their non-uniform FFT, whatever its size, so small patches cost more than back-projection does.
+    their non-uniform FFT, whatever its size, so small patches cost more than back-projection does. Memory: the data again
+    (running sums of energy) and some patches' samples.
 
     `exact` counts a term between a record's first and last sample and not beyond; here a trace ends smoothly. What lies within
     a patch's cut of range but outside of it is noise to an inversion.
@@ -102,12 +104,12 @@ def fourier_image(
     x, y, z = grid.axes["x"], grid.axes["y"], float(np.asarray(grid.height))
     middle = np.array([(x.min() + x.max()) / 2, (y.min() + y.max()) / 2, z])
     surveys = sectors(survey, middle) if correct and method == "nufft" else [survey]
-    whole, parts = tiles(surveys, x, y, z, error, correct)
+    whole, parts = tiles(surveys, x, y, z, _PHASE * error, correct)
     if not tiled and len(parts) > 1:
         side = max(max(np.ptp(x[p.columns]), np.ptp(y[p.rows])) for p in parts)
         raise ValueError(
             f"grid: {np.ptp(x):g} x {np.ptp(y):g} m leaves {whole.error:.2g} rad of plane waves: expected at most "
-            f"error={error:g}, patches of about {side:.2g} m, or tiled=True"
+            f"{_PHASE:g} error={error:g}, patches of about {side:.2g} m, or tiled=True"
         )
     image = np.zeros(grid.shape, dtype=np.complex128)
     ill_posed = [False] * len(parts)
@@ -131,8 +133,8 @@ def fourier_image(
         notes.append(f"{ends} of {len(survey.number)} traces end within the grid: smoothly there, not between two pixels")
     report = Report(
         f"fourier, {method}", backend="numba", threads=workers, prepare_seconds=prepared - clock,
-        sum_seconds=time.perf_counter() - prepared, terms=sum(counts), predicted_error=max(p.error for p in parts),
-        choices={"error": error, "patches": len(parts), "sectors": len(surveys), "correct": correct}
+        sum_seconds=time.perf_counter() - prepared, predicted_error=max(p.error for p in parts) + 2 * _SAMPLES * error,
+        choices={"error": error, "patches": len(parts), "sectors": len(surveys), "correct": correct, "samples": sum(counts)}
         | ({"library": used} if method == "nufft" else {}),
         notes=tuple(notes),
     )  # fmt: skip
@@ -153,7 +155,8 @@ def _checked(echoes: Echoes, grid: Grid) -> Survey:
     finite = np.isfinite(echoes.traces)
     if not finite.all():
         ping, channel, sample = (int(i) for i in np.argwhere(~finite)[0])
-        raise ValueError(f"data: a non-finite sample at ping {ping}, channel {channel}, sample {sample}")
+        where = f"ping {ping}, channel {channel}, sample {sample}"
+        raise ValueError(f"data: {echoes.traces[ping, channel, sample]} at {where}: expected finite samples")
     return Survey.of(echoes)
 
 
@@ -171,9 +174,9 @@ def _summed(part: Patch, error: float, library: str) -> tuple[Complex, int]:
     total = np.zeros(len(part.offsets), dtype=np.complex128)
     count = 0
     for expansion in part.parts:
-        k, values = samples(expansion, part.offsets, error / 10)
+        k, values = samples(expansion, part.offsets, _SAMPLES * error)
         if len(k):
-            total += nufft(k, values, expansion.targets(part.offsets), accuracy=error / 10, library=library)
+            total += nufft(k, values, expansion.targets(part.offsets), accuracy=_SAMPLES * error, library=library)
         count += len(k)
     return total, count
 
@@ -181,7 +184,7 @@ def _summed(part: Patch, error: float, library: str) -> tuple[Complex, int]:
 def _inverted(part: Patch, method: str, error: float, r: int, rcond: float) -> tuple[Complex, int, bool]:
     """The patch's reflectivity, and whether its inversion was ill-posed."""
     (expansion,) = part.parts
-    k, values = samples(expansion, part.offsets, error / 10, in_band=True)
+    k, values = samples(expansion, part.offsets, _SAMPLES * error, in_band=True)
     if not len(k):
         return np.zeros(len(part.offsets), dtype=np.complex128), 0, False
     targets = expansion.targets(part.offsets)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 from scipy.sparse.linalg import LinearOperator, lsmr
+from scipy.special import roots_legendre
 
 from pysas import _checks
 from pysas._checks import FloatArray
@@ -76,7 +77,7 @@ class Sampling(LinearOperator):
 def _transform(points: FloatArray, n: int, window: Window) -> FloatArray:
     """(1/2) integral_-1^1 exp(-j pi (lambda - l) x)/w(x) dx for |l| <= n."""
     fastest = float(np.max(np.abs(points), initial=0.0)) + n
-    nodes, weights = np.polynomial.legendre.leggauss(48 + int(np.ceil(2 * fastest)))
+    nodes, weights = roots_legendre(48 + int(np.ceil(2 * fastest)))
     modes = np.arange(-n, n + 1)
     # the integrand is even in x: cos(pi (lambda - l) x), split into products of cosines and of sines
     away, along = np.pi * np.outer(points, nodes), np.pi * np.outer(nodes, modes)
@@ -303,6 +304,6 @@ def finite_samples(name: str, data: npt.ArrayLike, m: int) -> npt.NDArray[Any]:
 
 def _root_of_gram(n: int, window: Window) -> FloatArray:
     """Cholesky factor R, R R^T = <phi_l, phi_l'> of one axis."""
-    nodes, weights = np.polynomial.legendre.leggauss(64 + 4 * n)
+    nodes, weights = roots_legendre(64 + 4 * n)
     values = np.cos(np.pi * np.outer(np.arange(2 * n + 1), nodes)) @ (weights / (2 * window.values(nodes) ** 2))
     return np.asarray(np.linalg.cholesky(scipy.linalg.toeplitz(values)))

@@ -29,7 +29,7 @@ _JOINT = 8000  # most entries of C designed jointly: the normal matrix then has 
 # Designs in parts: what Psi^+ needs of a sample's surroundings. On a 30 x 30 jittered raster halos of 2 and 4 already give
 # the PSNR of the whole raster's Psi^+ to 0.1 dB; more samples than modes keep the parts overdetermined.
 _CELL, _MODES_HALO, _SAMPLES_HALO = 6.0, 3.0, 6.0
-_RIDGE = 1e-6
+_RIDGE = 1e-6  # its square is the ridge's share at least: normal equations hold no condition beyond 1e8
 _DEPENDENT = 1e-13  # eigenvalues of Omega^T Omega below this share of the largest count as 0: coincident columns
 
 Row = npt.NDArray[np.intp]
@@ -132,7 +132,7 @@ def design(
     r = _checks.whole("r", r, low=0)
     _checks.choice("method", method, METHODS)
     _checks.choice("band", band, BANDS)
-    mu = _checks.number("mu", mu, low=0.0)
+    mu, workers = _checks.number("mu", mu, low=0.0), _checks.threads(threads)
     frame = Frame(points, modes, window, weights=weights, rcond=rcond)
     m, count = frame.sampling.shape
     near = _neighbours(omega.points, r, band)
@@ -141,16 +141,16 @@ def design(
     if parts and method != "lsq":
         raise ValueError(f"method={method!r}: {m} samples x {count} modes: expected 'lsq', the only design in parts")
     if parts:
-        columns, ill_posed = _in_parts(frame, omega, near, _checks.threads(threads))
+        columns, ill_posed = _in_parts(frame, omega, near, workers)
     elif method == "lsq":
         columns = _least_squares(omega.sparse.tocsc(), slice(None), frame.pseudo_inverse, near)
         ill_posed = frame.ill_posed
     elif method == "printed":
         if m * m > DENSE:
             raise ValueError(f"method='printed': {m} samples: expected at most {int(np.sqrt(DENSE))}")
-        inverse = (
-            np.linalg.pinv(frame.root[:, None] * (omega.sparse.T @ frame.sampling.dense.T).T, rcond=_cut(frame)) * frame.root
-        )
+        product = frame.root[:, None] * np.asarray(omega.sparse.T @ frame.sampling.dense.T).T
+        # Psi Omega has rank L at most: what lies below sqrt(eps) is rounding
+        inverse = np.linalg.pinv(product, rcond=max(float(np.sqrt(np.finfo(np.float64).eps)), frame.rcond)) * frame.root
         columns = [inverse[i, j] for j, i in enumerate(near)]
         ill_posed = frame.ill_posed
     else:
@@ -159,11 +159,6 @@ def design(
     lengths = [len(i) for i in near]
     entries = np.concatenate(columns), (np.concatenate(near), np.repeat(np.arange(m), lengths))
     return FTCG(omega, scipy.sparse.csr_array(entries, shape=(m, m)), method, band, ill_posed)
-
-
-def _cut(frame: Frame) -> float:
-    """Psi Omega has rank L at most, its other singular values are rounding: cut at sqrt(eps), or at rcond if that is more."""
-    return max(float(np.sqrt(np.finfo(np.float64).eps)), frame.rcond)
 
 
 def _neighbours(points: FloatArray, r: int, band: str) -> list[Row]:

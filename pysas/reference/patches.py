@@ -19,7 +19,7 @@ from pysas._checks import FloatArray
 from pysas.echoes import Echoes
 from pysas.reference.gridding import Complex, Index
 
-_SECTOR = np.pi / 4
+_SECTOR = np.pi / 4  # of directions that share a bend: half of it would leave a quarter, for twice the transforms
 _PROBES = 5  # points along each axis at which a patch's error is looked at, its corners among them
 
 
