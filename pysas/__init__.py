@@ -10,7 +10,7 @@ from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.io import load, save
 from pysas.phase_history import from_phase_history
-from pysas.planner import plan
+from pysas.planner import focus, plan
 from pysas.pulse import LFM
 from pysas.simulation import simulate
 
@@ -18,6 +18,6 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "circular", "compress", "ffbp",
-    "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot", "reference", "save",
+    "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot", "reference", "save",
     "show_config", "simulate", "tracks",
 ]  # fmt: skip

@@ -247,7 +247,7 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     return Survey(geometry, start, weights, scene.kind, model, lattice)
 
 
-def reader_of(choices: planner.Choices, band: float) -> preparation.Interpolator | native.Reader:
+def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator | native.Reader:
     """What makes coefficients from samples, as chosen."""
     kind = np.complex64 if choices.precision == "float32" else np.complex128
     if not choices.taps:

@@ -69,7 +69,9 @@ def parser() -> argparse.ArgumentParser:
     image.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
     image.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
     image.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
-    image.add_argument("--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto is backprojection")
+    image.add_argument(
+        "--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto: the faster, by prediction"
+    )
     image.add_argument("--backend", choices=("auto", "numba", "cpp"), default="auto")
     image.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
     workers(image)
@@ -85,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     info = command("info", "what a file holds and what the planner would do")
     info.add_argument("file", metavar="FILE")
     info.add_argument("--tol", type=float, default=1e-3)
-    info.add_argument("--plan", action="store_true", help="also what the plan leaves out and where its error goes")
+    info.add_argument("--plan", action="store_true", help="also what the plan leaves out, its errors, and alternatives")
 
     check = command("check", "check a file of echoes; exit code 1 if something is wrong")
     check.add_argument("file", metavar="FILE")

@@ -1,7 +1,16 @@
 """What things cost: rough times of the engines' parts, ns on one thread, by which the planner compares its options."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
 from pysas.engine import native
 from pysas.scene import Scene
+
+if TYPE_CHECKING:
+    from pysas.plans import Choices
 
 # Numba's cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
 # coefficient of the preparation; a term with its own exact delay
@@ -32,6 +41,20 @@ def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: S
     return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))
 
 
+def prepare_seconds(scene: Scene, choices: Choices) -> float:
+    """Predicted time of making all coefficients, on one thread."""
+    c = choices
+    made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
+    return int(np.count_nonzero(scene.heard)) * made * (c.degree + 1) * 1e-9
+
+
+def sum_seconds(scene: Scene, choices: Choices, backend: str) -> float:
+    """Predicted time of the direct sum, on one thread."""
+    c = choices
+    term = term_ns(c.block, c.degree, c.oversampling, backend, scene, c.precision)
+    return int(np.count_nonzero(scene.heard)) * scene.pixels * term * 1e-9
+
+
 # a tree, ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
 # two with what each tap adds
 TREE_NS = {
@@ -40,6 +63,10 @@ TREE_NS = {
     "baseline": (4.8, 15.0, (8.0, 1.8), (15.0, 1.7)),
     "numba": (3.2, 10.0, (3.0, 1.4), (38.0, 2.0)),
 }
+
+
+# planning a tree, s: what it costs at least, the search for a layout included; it grows far slower than the sum
+GROW_SECONDS = {"cpp": 0.02, "numba": 0.05}
 
 
 def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:

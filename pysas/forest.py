@@ -24,7 +24,7 @@ from pysas.subapertures import BoolArray, Medium, Reads, Subtree
 
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
-    from pysas.planner import Choices
+    from pysas.plans import Choices
 
 TILE_ROWS = 32
 MOST_PLANES = 6

@@ -10,22 +10,28 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
 from pysas import _checks, bounds, engine, layouts, view_angles
-from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
+from pysas._checks import ComplexArray
+from pysas.costs import FILTER_NS, GROW_SECONDS, PREPARE_NS, prepare_seconds, sum_seconds, term_ns
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, tree
 from pysas.forest import Forest, Layout, grow
 from pysas.grid import Grid
-from pysas.plans import Plan
+from pysas.image import Image
+from pysas.plans import Choices, Plan
 from pysas.scene import Scene
+
+if TYPE_CHECKING:
+    from pysas import backprojection
 
 METHODS = ("auto", "backprojection", "ffbp")
 SHARE_INTERPOLATION = 0.85
@@ -50,43 +56,6 @@ SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band
 FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
 
 
-@dataclass(frozen=True)
-class Choices:
-    """What the planner settled on.
-
-    precision : "float32" or "float64" of the inner loop; degree, oversampling : of the interpolation; n_fft, n_fine,
-    length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
-    taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
-    pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
-    prepared at a time; errors : bound of each contribution; phases, step, taps : of the filter that makes the coefficients
-    (C++; oversampling is phases/step of the samples, or twice that after transforms), or 0 where transforms make them.
-    """
-
-    precision: str
-    degree: int
-    oversampling: float
-    n_fft: int
-    n_fine: int
-    length: int
-    margin: int
-    taper: int
-    beta: float
-    block: int
-    near: float
-    trigonometry: int
-    batch: int
-    delay: str
-    errors: dict[str, float]
-    phases: int = 0
-    step: int = 0
-    taps: int = 0
-
-    @property
-    def predicted_error(self) -> float:
-        """Sum of the bounds."""
-        return float(sum(self.errors.values()))
-
-
 def plan(
     echoes: Echoes,
     grid: Grid,
@@ -109,7 +78,7 @@ def plan(
         Relative error: ||I - I_exact|| <= tol max(||I_exact||, ||R||) over the grid, R the incoherent level. complex64:
         1e-1 to 1e-5; complex128: down to max(1e-10, 1e-14 range/wavelength).
     method : {"auto", "backprojection", "ffbp"}
-        "auto" is back-projection.
+        "auto" is whichever has the least predicted time for one image, the planning of a tree included.
     threads : int, optional
         Default: PYSAS_NUM_THREADS, else all processors. The image does not depend on it.
     backend : {"auto", "numba", "cpp"}
@@ -118,7 +87,8 @@ def plan(
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     fallback : bool
-        With "ffbp": whether what cannot be factorised, or not within `tol`, is summed directly; an error otherwise.
+        With "ffbp" (with "auto" they are): whether terms that cannot be factorised, or not within `tol`, are summed directly;
+        an error otherwise.
 
     Returns
     -------
@@ -147,13 +117,77 @@ def plan(
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
     count = _checks.threads(threads)
-    left = tol - _weigh(scene, grid, SHARE_VIEWS * tol, method == "ffbp", count)
-    forest, why = _plant(scene, grid, left, name, fallback) if method == "ffbp" else (None, "")
+    left = tol - _weigh(scene, grid, SHARE_VIEWS * tol, method != "backprojection", count)
+    forest, why = None, ""
+    if method != "backprojection":
+        auto = method == "auto"
+        growing = count * GROW_SECONDS[name] if auto else 0.0
+        forest, why = _plant(scene, grid, left, name, fallback or auto, growing)
     choices = _choose(scene, left, name) if forest is None else forest.choices
     if scene.lattice is not None:
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": scene.lattice.error})
-    chosen = "ffbp" if method == "ffbp" else "backprojection"
+    chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", "")
     return Plan(echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why)
+
+
+def focus(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    weights: npt.ArrayLike | str | None = None,
+    nan: str = "raise",
+    out: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """The image of `backproject` by whichever engine has the least predicted time: `backproject` or `ffbp`.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Range-compressed echoes; any track and array, moving receivers included.
+    grid : Grid
+    tol : float
+        Relative error that is kept, whichever engine it is; as in `backproject`.
+    threads, backend, weights, nan, out, progress
+        As in `backproject`.
+
+    Returns
+    -------
+    Image
+        `image.report.method` names the engine; `plan(echoes, grid, tol).explain()` says why.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `backproject`.
+
+    Notes
+    -----
+    O(pings channels pixels) for few pings or pixels, about O(N^2 log N) for N of each a side. `plan` for data to come.
+    """
+    from pysas import backprojection
+
+    backprojection.check_out_of(out, echoes, grid)
+    return plan(echoes, grid, tol, "auto", threads, backend, weights, nan)(echoes.data, out, progress)
+
+
+def other_engine(plan: Plan) -> str:
+    """The engine that a plan does not use: its predicted time, or why it cannot be."""
+    scene = plan.scene
+    left = plan.tol - (0.0 if scene.lattice is None else min(SHARE_VIEWS * plan.tol, scene.lattice.error))
+    if plan.forest is not None:
+        choices = _choose(scene, left, plan.backend)
+        seconds = sum_seconds(scene, choices, plan.backend) + prepare_seconds(scene, choices)
+        return f"backprojection: {seconds / plan.threads:.2g} s predicted"
+    site, why = _site(scene, plan.grid, left, plan.backend)
+    if site is not None:
+        seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads
+        why = f"{seconds:.2g} s predicted or more, and about {GROW_SECONDS[plan.backend]:g} s to plan"
+        if math.isinf(seconds):
+            why = "pixels too near the track"
+    return f"ffbp: {why}"
 
 
 def _weigh(scene: Scene, grid: Grid, error: float, tree: bool, threads: int) -> float:
@@ -342,11 +376,36 @@ def _crop(scene: Scene, tol: float) -> tuple[int, int, int, float]:
     return (needed, margin + taper, taper, float(beta)) if needed < 0.9 * scene.n_sample else (scene.n_sample, 0, 0, 0.0)
 
 
-def _plant(scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool) -> tuple[Forest | None, str]:
-    """A tree for each of the longest groups, or None and why all is summed directly; an error where that is forbidden."""
-    forest, why = _forest(scene, grid, tol, backend, not fallback)
-    if forest is not None and fallback and forest.seconds > _direct_seconds(scene, tol, backend):
-        forest, why = None, "a tree would take longer"
+@dataclass(frozen=True)
+class _Site:
+    """Where trees could stand: the best layout and what it costs on one thread, before any tree is grown."""
+
+    frame: backprojection.Frame
+    layout: Layout
+    near: float
+    share: float
+    relief: float
+    height: float
+    seconds: float
+
+
+def _plant(
+    scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool, growing: float = 0.0
+) -> tuple[Forest | None, str]:
+    """A tree for each of the longest groups, or None and why all is summed directly; an error where that is forbidden.
+
+    `growing` : what planning a tree counts beside its sum, s on one thread.
+    """
+    most = _direct_seconds(scene, tol, backend) - growing if fallback else math.inf
+    longer = "a tree would take longer"
+    if most <= 0:
+        return None, longer
+    forest = None
+    site, why = _site(scene, grid, tol, backend)
+    if site is not None and site.seconds <= most:
+        forest, why = _grow(scene, site, tol, backend, not fallback)
+    if fallback and site is not None and (site if forest is None else forest).seconds > most:
+        return None, longer
     if not fallback and (forest is None or forest.share < 1):
         if forest is not None:
             near = "pixels near the track or across the ends of records or beams"
@@ -356,19 +415,19 @@ def _plant(scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool) -
 
 
 def _direct_seconds(scene: Scene, tol: float, backend: str) -> float:
-    c = _choose(scene, tol, backend)
-    return scene.traces * scene.pixels * 1e-9 * term_ns(c.block, c.degree, c.oversampling, backend, scene, c.precision)
+    return sum_seconds(scene, _choose(scene, tol, backend), backend)
 
 
-def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
+def _site(scene: Scene, grid: Grid, tol: float, backend: str) -> tuple[_Site | None, str]:
+    """The cheapest layout that keeps tol, or why there is none."""
     from pysas import backprojection
 
     if tol < TREE_TOL * (1 - 1e-9):
-        return None, f"tol below {TREE_TOL:g}: all terms"
+        return None, f"tol below {TREE_TOL:g}"
     if not scene.heard.any():
-        return None, "the grid lies outside the recorded window: all terms"
+        return None, "the grid lies outside the recorded window"
     if scene.lattice is not None and (LONGEST_BLOCK - 1) * _node(scene) > scene.lattice.longest:
-        return None, "view-angle weights change fast along the rays of sub-images: all terms"
+        return None, "view-angle weights change fast along the rays of sub-images"
     share = SHARE_LEAVES * tol
     flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])
     relief = 0.05 * tol if flat else SHARE_RELIEF * tol
@@ -379,20 +438,13 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
         tiles.nearest = 0.9 * scene.nearest  # spheres about them reach nearer than their pixels
         block, near, _ = _choose_delay(tiles, share, nodes, True, SHARE_ROUNDING)
         if not block:
-            return None, "pixels too coarse for float32 blocks: all terms"
+            return None, "pixels too coarse for float32 blocks"
         block = _even_split(scene.line_length, block)
     sensors = scene.geometry[scene.heard][:, [2, 5]]
     height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
     frame = backprojection.Frame(grid, scene, block, rows=True)
     away = layouts.grounds(scene, frame)
     runs = native.isa_name() if backend == "cpp" else backend
-
-    def cleared(layout: Layout) -> Layout:
-        extent = layout.length / math.prod(layout.fans)
-        return dataclasses.replace(
-            layout, clear=layouts.clear(scene, height, extent, layout.taps.rate, SHARE_PHASE * share)
-        )  # fmt: skip
-
     best: tuple[float, Layout] | None = None
     for fans in FANS:
         stages = len(fans) + 1
@@ -408,20 +460,31 @@ def _forest(scene: Scene, grid: Grid, tol: float, backend: str, whole: bool) -> 
             if best is None or cost < best[0]:
                 best = (cost, layout)
     if best is None:
-        return None, "no interpolation keeps tol: all terms"
-    layout = cleared(best[1])
-    forest = grow(scene, frame, frame.mask, layout, near, relief, backend == "cpp")
+        return None, "no interpolation keeps tol"
+    return _Site(frame, best[1], near, share, relief, height, best[0]), ""
+
+
+def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
+    """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all)."""
+
+    def grown(layout: Layout) -> Forest | None:
+        extent = layout.length / math.prod(layout.fans)
+        clear = layouts.clear(scene, site.height, extent, layout.taps.rate, SHARE_PHASE * site.share)
+        layout = dataclasses.replace(layout, clear=clear)
+        return grow(scene, site.frame, site.frame.mask, layout, site.near, site.relief, backend == "cpp")
+
+    layout = site.layout
+    forest = grown(layout)
     # shorter groups see more as from a line, and nearer pixels from afar
-    while (forest is None or (whole and forest.share < 1)) and layout.length > best[1].length / 8:
-        layout = cleared(dataclasses.replace(layout, length=layout.length * 0.7))
-        forest = grow(scene, frame, frame.mask, layout, near, relief, backend == "cpp")
+    while (forest is None or (whole and forest.share < 1)) and layout.length > site.layout.length / 8:
+        layout = dataclasses.replace(layout, length=layout.length * 0.7)
+        forest = grown(layout)
     if forest is None or not any(t.read.any() for t in forest.trees):
-        return None, "no pixel far enough from all groups of pings, or too steep a relief: all terms"
-    choices = _choose(forest.scene, share, backend, SHARE_ROUNDING, forest.rate)
-    errors = choices.errors | {"sub-images": bounds.tree_error(best[1].taps, len(best[1].fans) + 1)}
-    stack = max(sheet.planes.size for sheet in forest.sheets)
+        return None, "no pixel far enough from all groups of pings, or too steep a relief"
+    choices = _choose(forest.scene, site.share, backend, SHARE_ROUNDING, forest.rate)
+    errors = choices.errors | {"sub-images": bounds.tree_error(layout.taps, len(layout.fans) + 1)}
     if not all(sheet.flat for sheet in forest.sheets):
-        errors["relief"] = relief
+        errors["relief"] = site.relief
     forest.choices = dataclasses.replace(choices, errors=errors)
-    forest.seconds = best[0] * stack
+    forest.seconds = site.seconds * max(sheet.planes.size for sheet in forest.sheets)
     return forest, ""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray
-from pysas.costs import FILTER_NS, PREPARE_NS, term_ns
+from pysas.costs import prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, native, summation
 from pysas.forest import Forest
@@ -19,8 +19,42 @@ from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
 
-if TYPE_CHECKING:
-    from pysas.planner import Choices
+
+@dataclass(frozen=True)
+class Choices:
+    """What the planner settled on.
+
+    precision : "float32" or "float64" of the inner loop; degree, oversampling : of the interpolation; n_fft, n_fine,
+    length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
+    taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
+    pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
+    prepared at a time; errors : bound of each contribution; phases, step, taps : of the filter that makes the coefficients
+    (C++; oversampling is phases/step of the samples, or twice that after transforms), or 0 where transforms make them.
+    """
+
+    precision: str
+    degree: int
+    oversampling: float
+    n_fft: int
+    n_fine: int
+    length: int
+    margin: int
+    taper: int
+    beta: float
+    block: int
+    near: float
+    trigonometry: int
+    batch: int
+    delay: str
+    errors: dict[str, float]
+    phases: int = 0
+    step: int = 0
+    taps: int = 0
+
+    @property
+    def predicted_error(self) -> float:
+        """Sum of the bounds."""
+        return float(sum(self.errors.values()))
 
 
 class Plan:
@@ -112,13 +146,8 @@ class Plan:
     @property
     def predicted_seconds(self) -> float:
         """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
-        c, scene = self.choices, self.scene
-        if self.forest is not None:
-            return self.forest.seconds / self.threads
-        term = term_ns(c.block, c.degree, c.oversampling, self.backend, scene, c.precision)
-        traces = int(np.count_nonzero(scene.heard))
-        made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
-        return traces * (scene.pixels * term + made * (c.degree + 1)) * 1e-9 / self.threads
+        sum_ = self.forest.seconds if self.forest is not None else sum_seconds(self.scene, self.choices, self.backend)
+        return (sum_ + prepare_seconds(self.scene, self.choices)) / self.threads
 
     @property
     def predicted_memory(self) -> int:
@@ -137,7 +166,13 @@ class Plan:
         return int(self.grid.size * self.dtype.itemsize + work)
 
     def explain(self) -> str:
-        """What the scene has, what was left out and the share of work saved, and where the error goes."""
+        """What the scene has, what was left out and the share of work saved, where the error goes, and the alternatives.
+
+        The other engine comes with its predicted time, or why it cannot keep `tol`; the Fourier algorithms of
+        `pysas.reference` are named where the track is straight and even.
+        """
+        from pysas import planner
+
         c, scene = self.choices, self.scene
         lines = [str(self), "  left out"]
         silent = scene.traces - int(np.count_nonzero(scene.heard))
@@ -155,4 +190,11 @@ class Plan:
         ]
         lines += [f"    - {text}" for used, text in rows if used]
         lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
+        lines += ["  alternatives", f"    - {planner.other_engine(self)}"]
+        if scene.even_line():
+            first = "" if scene.kind == MONOSTATIC and scene.channels == 1 else ", of reference.phase_centres"
+            lines += [
+                f"    - omega-k, range-Doppler, chirp scaling (pysas.reference{first}): the track is straight and even;",
+                "      never chosen: they image the slant plane and keep no tol",
+            ]
         return "\n".join(lines)

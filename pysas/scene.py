@@ -67,6 +67,15 @@ class Scene:
             self.line_length, self.uneven = grid.shape[-1], found[2]
             self.slope = _slope(found, self.origin, tx, rx, self.line_length)
 
+    def even_line(self) -> bool:
+        """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""
+        tx: FloatArray = self.geometry[:: self.channels, 0:3]
+        n = np.arange(len(tx)) - (len(tx) - 1) / 2
+        step = float(n @ tx[:, 0]) / max(float(n @ n), 1.0)
+        off = np.linalg.norm(tx - tx.mean(axis=0) - n[:, None] * [step, 0.0, 0.0], axis=1)
+        late = float(np.ptp(self.geometry[:, 12])) * self.fc
+        return bool(step != 0 and off.max() <= 0.01 * self.c / self.fc and late <= 0.01 and self.fs < 2 * self.fc)
+
     def why_silent(self) -> str:
         """Why no pixel hears any ping."""
         low = float(self.c / 2 * self.geometry[:, 12].min())

@@ -59,6 +59,7 @@ def test_image_text_names_the_target(small, capsys):
 def test_info_of_both_kinds(small, capsys):
     code, out, _ = run("info", small / "raw.npz", "--plan", capsys=capsys)
     assert code == 0 and "40 pings x 2 channels" in out and "interpolation" in out and "left out" in out
+    assert "predicted" in out and "alternatives" in out and "ffbp" in out
     run("image", small / "raw.npz", "-o", small / "for_info.npz", "--spacing", "0.05", capsys=capsys)
     code, out, _ = run("info", small / "for_info.npz", "--json", capsys=capsys)
     assert code == 0 and json.loads(out)["kind"] == "image"

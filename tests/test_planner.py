@@ -1,5 +1,6 @@
 """The planner: its tables from mathematics, its bounds true, its explanations and estimates what happens."""
 
+import re
 import subprocess
 import sys
 import textwrap
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from scenes import PLANE, moving, straight
 from scipy.special import jv
+from test_factorised import BACKENDS, plane, single
 
 import pysas
 from pysas import bounds
@@ -76,6 +78,90 @@ def test_print_and_explain_say_what_was_chosen_and_left_out():
     mask[:20] = True
     half = pysas.Grid.plane(PLANE.axes["x"], PLANE.axes["y"], mask=mask)
     assert "67 % of the pixels" in pysas.plan(straight(), half).explain()
+
+
+LARGE = plane(320, 256, 24.0)
+
+
+@pytest.fixture(scope="module")
+def long():
+    """1024 pings, enough for a tree."""
+    return single(straight(1024, 0.01, samples=1200))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_focus_takes_the_engine_of_least_predicted_time_and_keeps_tol(long, backend):
+    plans = {m: pysas.plan(long, LARGE, 1e-3, m, 1, backend) for m in ("backprojection", "ffbp", "auto")}
+    assert plans["ffbp"].predicted_seconds < plans["backprojection"].predicted_seconds
+    assert plans["auto"].method == "ffbp" and plans["auto"].choices == plans["ffbp"].choices
+    image = pysas.focus(long, LARGE, 1e-3, 1, backend)
+    assert image.report.method == "ffbp" and image.report.factorised_share == 1
+    pixels = np.random.default_rng(0).choice(LARGE.size, 100, replace=False)
+    exact, level = pysas.reference.exact(long, LARGE, pixels)
+    assert pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level) <= 1e-3
+    # where no tree keeps tol, and below what planning one costs
+    assert pysas.plan(long, LARGE, 1e-5, threads=1, backend=backend).method == "backprojection"
+    small = plane(96, 20, 24.0)
+    image = pysas.focus(long, small, 1e-3, 1, backend)
+    assert image.report.method == "backprojection" and not image.report.notes
+    assert np.array_equal(image.data, pysas.backproject(long, small, 1e-3, backend=backend).data)
+
+
+def test_focus_passes_its_options_on():
+    echoes = moving()
+    out, seen = np.empty(PLANE.shape, complex), []
+    weights = np.linspace(0, 1, 16)
+    image = pysas.focus(echoes, PLANE, 1e-4, weights=weights, threads=1, out=out, progress=seen.append)
+    assert image.data is out and seen[-1] == 1 and image.report.threads == 1
+    assert np.array_equal(out, pysas.backproject(echoes, PLANE, 1e-4, weights=weights).data)
+    even = pysas.focus(echoes, PLANE, 1e-3, weights="uniform-angle").data
+    other = pysas.backproject(echoes, PLANE, 1e-3, weights="uniform-angle").data
+    assert np.linalg.norm(even - other) <= 2e-3 * np.linalg.norm(other)
+    with pytest.raises(ValueError, match="tol=1: expected at most 0.1"):
+        pysas.focus(echoes, PLANE, 1.0)
+    with pytest.raises(ValueError, match="out"):
+        pysas.focus(echoes, PLANE, out=np.empty((2, 2), complex))
+
+
+def test_explain_names_the_other_engine_and_its_time(long):
+    direct, tree = (pysas.plan(long, LARGE, 1e-3, method) for method in ("backprojection", "ffbp"))
+
+    def predicted(text, name):
+        return float(re.search(rf"- {name}: ([\d.e-]+) s predicted", text)[1])
+
+    assert predicted(tree.explain(), "backprojection") == pytest.approx(direct.predicted_seconds, rel=0.05)
+    assert predicted(direct.explain(), "ffbp") == pytest.approx(tree.predicted_seconds, rel=0.2)
+    for text in (direct.explain(), tree.explain()):
+        assert re.search(r"predicted      error [\d.e-]+, time [\d.e-]+ s, memory \d+ MB beyond the input", text)
+    assert "ffbp: tol below 3e-05" in pysas.plan(long, LARGE, 1e-5).explain()
+    with pytest.warns(UserWarning, match="outside the recorded window"):
+        text = pysas.plan(long, plane(320, 256, 2400.0)).explain()
+    assert "ffbp: the grid lies outside the recorded window" in text
+
+
+@pytest.mark.parametrize("off", [0.0, 0.009, 0.011])
+def test_fourier_algorithms_are_alternatives_where_they_take_the_track(off):
+    """One ping `off` wavelengths beside an even line: a hundredth is what the Fourier algorithms allow."""
+    echoes = straight(32)
+    tx = echoes.tx.copy()
+    tx[7, 1] += off * echoes.c / echoes.fc * 32 / 31  # the line moves by 1/32 of it
+    echoes = echoes.replace(tx=tx, rx=tx[:, None])
+    text = pysas.plan(echoes, PLANE).explain()
+    if off <= 0.01:
+        pysas.reference.omega_k(echoes, threads=1)
+        assert "omega-k, range-Doppler, chirp scaling (pysas.reference): the track is straight and even" in text
+    else:
+        with pytest.raises(ValueError, match="tx at ping 7"):
+            pysas.reference.omega_k(echoes, threads=1)
+        assert "omega-k" not in text
+
+
+def test_arrays_come_to_fourier_algorithms_by_their_phase_centres():
+    echoes = straight(32)
+    pair = echoes.replace(data=np.repeat(echoes.data, 2, axis=1), rx=np.stack([echoes.tx, echoes.tx + [0.03, 0, 0]], axis=1))
+    assert "(pysas.reference, of reference.phase_centres)" in pysas.plan(pair, PLANE).explain()
+    assert "omega-k" not in pysas.plan(moving(), PLANE).explain()
+    assert "omega-k" not in pysas.plan(straight(1), PLANE).explain()
 
 
 def test_errors_add_up_to_less_than_tol():
