@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,6 +123,59 @@ class Plan:
         from pysas import backprojection
 
         return backprojection.execute(self, data, out, progress)
+
+    def stream(self, batches: Iterable[npt.ArrayLike]) -> Iterator[Image]:
+        """Images of many data sets, in their order: the next is read on a thread while one is summed.
+
+        Parameters
+        ----------
+        batches : iterable of arrays of the echoes' shape and dtype
+            Such as a generator that reads files: it runs on a thread of its own, one batch ahead. Each batch is an array of its
+            own: one that is refilled for the next would be summed while it changes.
+
+        Returns
+        -------
+        iterator of Image
+            Nothing is read before the first is asked for. Closed early (`close`, or dropped), it waits for the batch being
+            read, which is lost, and leaves no thread.
+
+        Raises
+        ------
+        TypeError
+            At once, where `batches` is not iterable.
+        ValueError, TypeError, or what the iterable raises
+            Instead of the image of the batch that is wrong or could not be read, after all before it; a note of the exception
+            counts the batch, from 0. The stream ends there.
+
+        Notes
+        -----
+        Time of an image: the longer of reading and imaging, where reading leaves the interpreter free. Memory: two batches
+        and an image.
+        """
+        try:
+            source = iter(batches)
+        except TypeError:
+            raise TypeError(f"batches={type(batches).__name__}: expected an iterable of arrays") from None
+        return self._stream(source)
+
+    def _stream(self, source: Iterator[npt.ArrayLike]) -> Iterator[Image]:
+        def read() -> list[npt.ArrayLike]:
+            return list(itertools.islice(source, 1))
+
+        with ThreadPoolExecutor(1, thread_name_prefix="pysas-stream") as reader:
+            coming = reader.submit(read)
+            for number in itertools.count():
+                try:
+                    batch = coming.result()
+                    if not batch:
+                        return
+                    coming = reader.submit(read)
+                    image = self(batch[0])
+                except Exception as error:
+                    error.add_note(f"batch {number} of the stream")
+                    raise
+                batch.clear()  # not kept while the image is in use
+                yield image
 
     def __str__(self) -> str:
         c, scene = self.choices, self.scene
