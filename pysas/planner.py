@@ -46,6 +46,7 @@ SHARE_LEAVES = 0.35
 SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
 SHARE_RELIEF = 0.2  # of tol, for pixels read off the planes of their sub-images, where any are
+FARTHEST = 1e9  # wavelengths: beyond it sub-images have more nodes than memory holds, and float64 loses 1e-5 anyway
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
 # width, rate and half length of the filters that a tree may use, cheapest first
 TAPS = (
@@ -208,9 +209,10 @@ def _node(scene: Scene) -> float:
 def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
     if tol > 0.1:
         raise ValueError(f"tol={tol:g}: expected at most 0.1")
-    least = 1e-5 if echoes.dtype == np.complex64 else max(1e-10, 1e-14 * scene.farthest * echoes.fc / echoes.c)
+    float64 = 1e-14 * scene.farthest * echoes.fc / echoes.c
+    least = max(1e-5 if echoes.dtype == np.complex64 else 1e-10, float64)
     if tol < least * (1 - 1e-9):
-        hint = "; complex128 data reach 1e-10" if echoes.dtype == np.complex64 else ""
+        hint = f"; complex128 data reach {max(1e-10, float64):.3g}" if least > float64 and least == 1e-5 else ""
         raise ValueError(f"tol={tol:g}: {echoes.dtype} data over {scene.farthest:.4g} m reach {least:.3g} at best{hint}")
 
 
@@ -424,6 +426,8 @@ def _site(scene: Scene, grid: Grid, tol: float, backend: str) -> tuple[_Site | N
 
     if tol < TREE_TOL * (1 - 1e-9):
         return None, f"tol below {TREE_TOL:g}"
+    if scene.farthest > FARTHEST * scene.c / scene.fc:
+        return None, f"range beyond {FARTHEST:g} wavelengths"
     if not scene.heard.any():
         return None, "the grid lies outside the recorded window"
     if scene.lattice is not None and (LONGEST_BLOCK - 1) * _node(scene) > scene.lattice.longest:
