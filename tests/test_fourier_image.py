@@ -11,6 +11,8 @@ import pysas
 from pysas.reference import exact, fourier_image, nufft
 from pysas.reference.patches import Survey, patch, samples, sectors
 
+pytestmark = pytest.mark.reference
+
 C, FC, FS, BAND = 1500.0, 100e3, 40e3, 30e3
 LIBRARIES = ["own", "finufft"] if importlib.util.find_spec("finufft") else ["own"]
 

@@ -12,6 +12,8 @@ from scipy.integrate import quad
 from pysas.reference import Frame, Gaussian, Gridding, KaiserBessel, Sampling, Synthesis, ftcg, pipe_menon, voronoi
 from pysas.reference.rasters import asterisk, jittered, sector
 
+pytestmark = pytest.mark.reference
+
 WINDOW = Gaussian()
 WINDOWS = [WINDOW, Gaussian(0.5, 3.0, line=True), KaiserBessel(1.5, 4.0)]
 RASTERS = {

@@ -9,6 +9,8 @@ import pytest
 from pysas.reference import Frame, Gaussian, Gridding, KaiserBessel, Sampling, Synthesis, ftcg, pipe_menon, rasters, voronoi
 from pysas.reference.rasters import asterisk, jittered, sector
 
+pytestmark = pytest.mark.reference
+
 WINDOW = Gaussian()
 EPS = np.finfo(float).eps
 

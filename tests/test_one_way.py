@@ -11,6 +11,8 @@ from scipy.optimize import brentq
 import pysas
 from pysas.reference import exact, one_way
 
+pytestmark = pytest.mark.reference
+
 C = 1500.0
 POINTS = ((0.0, 8.0), (0.1, 9.0))
 

@@ -6,6 +6,8 @@ import pytest
 from pysas.reference import one_way_carrier as carrier
 from pysas.reference.marching import EQUATIONS, March, Solver, one_way_wavenumber
 
+pytestmark = pytest.mark.reference
+
 RATIOS = (1e-3, 1.0, 1e3, 1e6)  # dz/dx
 
 

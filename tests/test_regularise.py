@@ -6,6 +6,8 @@ import pytest
 from pysas.reference import enhance, noise_level
 from pysas.reference.regularise import phi
 
+pytestmark = pytest.mark.reference
+
 
 def picture(n=40, noise=0.1):
     """Disc, ramp and smooth blob, in [0, 1], and the same under white noise."""
