@@ -81,12 +81,11 @@ def test_quality_below_2(fc):
 
 
 def test_the_table_names_tests_that_exist():
-    """Every row has its tests, but those of code that this version lacks."""
+    """Every row has its tests."""
     root = Path(__file__).resolve().parents[1]
     rows = (root / "docs" / "stability.md").read_text(encoding="utf-8").splitlines()[7:]
     tests = "".join(path.read_text(encoding="utf-8") for path in (root / "tests").glob("test_*.py"))
     assert len(rows) == 12
     for row in rows:
         named = re.findall(r"\btest_\w+", row)
-        assert bool(named) != ("no such code" in row)
-        assert all(f"def {name}(" in tests for name in named)
+        assert named and all(f"def {name}(" in tests for name in named)
