@@ -60,4 +60,4 @@ bench:
 
 bench-quick:
 	$(in_bench) -m bench.backprojection --quick
-	$(in_bench) -m pytest bench -p no:cacheprovider -q -k complex128 --benchmark-columns=median,iqr,rounds
+	$(in_bench) -m pytest bench -n 0 -p no:cacheprovider -q -k complex128 --benchmark-columns=median,iqr,rounds
