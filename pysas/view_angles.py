@@ -89,9 +89,9 @@ def lattice(scene: Scene, grid: Grid, error: float, beyond: float, stretch: floa
     return Lattice(value, np.append(found.axes, longest), wrong, wrong <= error)
 
 
-def read(lattice: Lattice, places: FloatArray, order: slice = slice(None)) -> npt.NDArray[np.float32]:
-    """Weights (place, trace) at places (place, 2) of traces `order`; beyond the lattice those of its edge."""
-    value = lattice.value[..., order]
+def read(lattice: Lattice, places: FloatArray) -> npt.NDArray[np.float32]:
+    """Weights (place, trace) at places (place, 2); beyond the lattice those of its edge."""
+    value = lattice.value
     first, factors = [], []
     for k, n in ((0, value.shape[1]), (1, value.shape[0])):
         u = np.clip((places[:, k] - lattice.axes[k]) / lattice.axes[2 + k], 0, n - 1)

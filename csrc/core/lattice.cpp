@@ -132,7 +132,12 @@ const Weights<Real>* TileWeights<Real>::of_rays(const Terms<Real>& terms, const 
         ground[j] = std::sqrt(std::max(slant * slant - height * height, 0.0));
     }
     const bool few = (high - low) * image.dangle * ground[weight_nodes - 1] <= terms.lattice->longest;
-    for (int r = 0; r < rows; ++r) lie(r, high > low ? (static_cast<double>(rays[r]) - low) / (high - low) : 0);
+    for (int r = 0; r < rows; ++r) {
+        // where every ray is looked up, a row is its own line, of as many lines as weight_nodes too
+        const double whole = few ? high - low : rows - 1;
+        const double part = few ? static_cast<double>(rays[r]) - low : r;
+        lie(r, whole > 0 ? part / whole : 0);
+    }
     const int chosen = few ? weight_nodes : rows;
     double x[weight_nodes * tile_rows], y[weight_nodes * tile_rows];
     for (int k = 0; k < chosen; ++k) {
