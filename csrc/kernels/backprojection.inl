@@ -159,6 +159,15 @@ void levels(const Weights<typename V::real>& weights, std::int64_t trace, int ro
     }
 }
 
+// Multiply by what vector `s` of a line weighs.
+template <class V>
+void weigh(const Levels<V>& level, int s, int r, typename V::vec lane, typename V::vec& sine, typename V::vec& cosine) {
+    const auto& power = level.power[s];
+    const auto w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
+    sine = V::mul(sine, w);
+    cosine = V::mul(cosine, w);
+}
+
 // Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or
 // null.
 template <class V, int N, int D, int T, int W>
@@ -199,12 +208,7 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             const vec k = V::load(intervals + s * V::n);
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
-            if (level) {
-                const auto& power = level->power[s];
-                const vec w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
-                sine = V::mul(sine, w);
-                cosine = V::mul(cosine, w);
-            }
+            if (level) weigh<V>(*level, s, r, lane, sine, cosine);
             read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
                           V::load(position + s * V::n), re, im);
             add_turned<V>(re, im, sine, cosine, all_re + r * block + s * V::n, all_im + r * block + s * V::n);

@@ -144,15 +144,6 @@ void expand(const LeafJob& job, const Phase<V, 6>& phase, float ratio, std::int6
     }
 }
 
-// Multiply by what nodes of vector `s` of a ray weigh.
-template <class V>
-void weigh(const Drifts<V>& drift, int s, int r, typename V::vec lane, typename V::vec& sine, typename V::vec& cosine) {
-    const auto& power = drift.level->power[s];
-    const auto w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
-    sine = V::mul(sine, w);
-    cosine = V::mul(cosine, w);
-}
-
 // Rays [first, last) whose nodes of vector `s` all read the intervals at `planes`.
 template <class V, int D, bool Turning>
 void add_run(const float* planes, std::int64_t stride, const Phase<V, 6>& phase, float ratio, const Drifts<V>& drift,
@@ -174,7 +165,7 @@ void add_run(const float* planes, std::int64_t stride, const Phase<V, 6>& phase,
         if constexpr (Turning) {
             const auto ph = V::fma(V::set(ratio), moved, V::set(drift.cycles[s][r]));
             phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
-            if (drift.level) weigh<V>(drift, s, r, lane, sine, cosine);
+            if (drift.level) weigh<V>(*drift.level, s, r, lane, sine, cosine);
         } else {
             cosine = V::fma(V::fma(V::set(factor[4][r]), lane, V::set(factor[2][r])), lane, V::set(factor[0][r]));
             sine = V::fma(V::fma(V::set(factor[5][r]), lane, V::set(factor[3][r])), lane, V::set(factor[1][r]));
@@ -205,7 +196,7 @@ void add_breaking(const LeafJob& job, const float* table, const Phase<V, 6>& pha
     const auto ph = V::fma(V::set(ratio), moved, V::set(drift.cycles[s][r]));
     typename V::vec sine, cosine, a, b;
     phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
-    if (drift.level) weigh<V>(drift, s, r, lane, sine, cosine);
+    if (drift.level) weigh<V>(*drift.level, s, r, lane, sine, cosine);
     read<V, D, 0>(table, stride, V::load_index(index), V::sub(u, k), a, b);
     add_turned<V>(a, b, sine, cosine, job.re + r * block + s * V::n, job.im + r * block + s * V::n);
 }
