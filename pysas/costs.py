@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,33 +13,39 @@ from pysas.scene import Scene
 if TYPE_CHECKING:
     from pysas.plans import Choices
 
-# Numba's cost model, ns: a term, its coefficient pairs, its table's size in the cache (per over-sampling and coefficient), one
-# coefficient of the preparation; a term with its own exact delay
-TERM_NS, PAIR_NS, CACHE_NS, PREPARE_NS, EXACT_NS = 2.6, 0.2, 0.02, 9.6, 8.0
-# that of C++: lanes, then ns of a term, of one of its coefficients, of a term with its own exact delay, by instruction set
-NATIVE_NS = {
-    "avx512": (16, 0.35, 0.06, 2.5),
-    "avx2": (8, 0.6, 0.085, 4.0),
-    "baseline": (8, 2.6, 0.3, 8.0),
+# ns of one thread beside others: a term, each of its coefficients, a line of a block for each trace, a term with its own
+# exact delay, each of its coefficients; Numba's coefficients by pairs, and for their table's size in the cache
+COST_NS = {
+    "avx512": (0.35, 0.06, 8.0, 2.7, 0.12),
+    "avx2": (0.5, 0.085, 9.5, 4.0, 0.35),
+    "baseline": (3.7, 0.4, 45.0, 18.0, 1.4),
+    "numba": (2.0, 0.1, 45.0, 5.0, 0.1),
 }
+LANES = {"avx512": 16, "avx2": 8, "baseline": 8}  # of a vector of float32
+CACHE_NS, PREPARE_NS = 0.02, 9.6  # Numba's: per over-sampling and coefficient; a coefficient of the preparation
 FILTER_NS = 0.05  # a tap of a filter's coefficient
 
 
-def term_ns(block: int, degree: int, oversampling: float, backend: str, scene: Scene, precision: str) -> float:
-    """Predicted cost of a term, ns."""
-    if backend == "numba":
-        base = TERM_NS if block else EXACT_NS
-        return (base + PAIR_NS * (degree + 1) / 2 + CACHE_NS * oversampling * (degree + 1)) * (
-            1 if precision == "float32" else 2
-        )
-    lanes, term, coefficient, exact = NATIVE_NS[native.isa_name()]
+def term_ns(scene: Scene, backend: str, precision: str, block: int, near: float, degree: int, oversampling: float) -> float:
+    """Predicted cost of a term, ns, the mean of those with a block's delay polynomial and those nearer than `near`."""
     wide = 1.0 if precision == "float32" else 2.0
+    term, coefficient, line, exact, gathered = COST_NS[native.isa_name() if backend == "cpp" else backend]
+    own = wide * (exact + gathered * (degree + 1))
     if not block:
-        return wide * exact
-    # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
-    span = lanes / wide * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
-    registers = 1 if span < lanes / wide - 1 else 2 if span < 2 * lanes / wide - 1 else 5
-    return wide * (term + coefficient * (degree + 1) * (1 + 0.3 * (registers - 1)))
+        return own
+    each = coefficient * (degree + 1)
+    if backend == "numba":
+        padded = 1.0
+        each += CACHE_NS * oversampling * (degree + 1)
+    else:
+        lanes = LANES[native.isa_name()] / wide
+        padded = math.ceil(block / lanes) * lanes / block
+        # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
+        span = lanes * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
+        registers = 1 if span < lanes - 1 else 2 if span < 2 * lanes - 1 else 5
+        each *= 1 + 0.3 * (registers - 1)
+    share = scene.within(near)
+    return share * own + (1 - share) * (wide * padded * (term + each) + line / block)
 
 
 def prepare_seconds(scene: Scene, choices: Choices) -> float:
@@ -51,7 +58,7 @@ def prepare_seconds(scene: Scene, choices: Choices) -> float:
 def sum_seconds(scene: Scene, choices: Choices, backend: str) -> float:
     """Predicted time of the direct sum, on one thread."""
     c = choices
-    term = term_ns(c.block, c.degree, c.oversampling, backend, scene, c.precision)
+    term = term_ns(scene, backend, c.precision, c.block, c.near, c.degree, c.oversampling)
     return int(np.count_nonzero(scene.heard)) * scene.pixels * term * 1e-9
 
 

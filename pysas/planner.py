@@ -7,7 +7,6 @@ the same geometry. `print(plan)` and `plan.explain()` say what was chosen and wh
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Callable
@@ -224,7 +223,7 @@ def _choose(
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
     polynomials = scene.lines is not None and (single or backend == "cpp")
-    block, near, errors = _choose_delay(scene, tol, nodes, single, rounding) if polynomials else (0, 0.0, {})
+    block, near, errors = _choose_delay(scene, tol, nodes, single, backend, rounding) if polynomials else (0, 0.0, {})
     if single and not block:
         errors["rounding"] = 2.0**-22
     least = 2.0**-23 if single else 1e-14
@@ -274,7 +273,7 @@ def _choose_filter(
             filter = native.design(band, degree, phases, step, left, LONGEST_FILTER)
             if filter.error > left:
                 continue
-            term = term_ns(shared["block"], degree, double * filter.rate, "cpp", scene, shared["precision"])
+            term = term_ns(scene, "cpp", shared["precision"], shared["block"], shared["near"], degree, double * filter.rate)
             coefficients = (degree + 1) * length * double * filter.rate
             cost = scene.traces * (scene.pixels * term + coefficients * (1 + FILTER_NS * filter.taps))
             if best is None or cost < best[0]:
@@ -304,7 +303,7 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
     for degree in bounds.THETA:
         rate = max(1.0, np.pi * scene.band / bounds.theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = term_ns(shared["block"], degree, n_fine / n_fft, "numba", scene, precision)
+        term = term_ns(scene, "numba", precision, shared["block"], shared["near"], degree, n_fine / n_fft)
         cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
@@ -319,9 +318,11 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
 
 
 def _choose_delay(
-    scene: Scene, tol: float, nodes: int, single: bool, share: float = 3 * SHARE_PHASE
+    scene: Scene, tol: float, nodes: int, single: bool, backend: str, share: float = 3 * SHARE_PHASE, whole: bool = False
 ) -> tuple[int, float, dict[str, float]]:
-    """Block length and the distance from which its delay polynomial holds; 0 where only exact delays keep tol.
+    """Length of a block and the distance from which its delay polynomial holds; 0 where only exact delays keep tol.
+
+    The cheapest; with `whole` the longest that holds for all pixels, spheres about tiles reaching nearer than those.
 
     sqrt(r^2 + 2 r u s + s^2) has Taylor coefficients |a_n| <= 2/((2n - 1) r^(n-1)) (Legendre's generating function), so the
     polynomial through n Chebyshev nodes of |s| <= h is wrong by at most 2 h^n/((2n - 1) 2^(n-1) r^(n-1)), for each way. The
@@ -332,7 +333,8 @@ def _choose_delay(
     uneven = 4 * np.pi * wave * scene.uneven  # a pixel off its line is off by as much on both ways
     eps = 2.0**-24 if single else 2.0**-53
     best: tuple[int, float, dict[str, float]] = (0, 0.0, {})
-    for block in (64, 48, 32, 16):
+    cheapest = math.inf
+    for block in (64, 48, 32, 16, 8):
         count = _even_split(scene.line_length, block)
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
@@ -344,8 +346,11 @@ def _choose_delay(
         if half > 0:
             scaled = 2 * np.pi * wave * 2 * 1.3 * (2 / (2 * nodes - 1)) * half**nodes / 2 ** (nodes - 1)
             near = max(near, (scaled / (SHARE_PHASE * tol)) ** (1 / (nodes - 1)))
-        best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * tol})
-        if near <= scene.nearest:
+        cost = near if whole else term_ns(scene, backend, "float32" if single else "float64", count, near, 3, 2.0)
+        if cost < cheapest:
+            cheapest = cost
+            best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * tol})
+        if whole and near <= 0.9 * scene.nearest:
             break
     return best
 
@@ -438,9 +443,7 @@ def _site(scene: Scene, grid: Grid, tol: float, backend: str) -> tuple[_Site | N
     block, near = 0, 0.0
     if scene.lines is not None:
         nodes = native.NODES["float32"] if backend == "cpp" else NODES
-        tiles = copy.copy(scene)
-        tiles.nearest = 0.9 * scene.nearest  # spheres about them reach nearer than their pixels
-        block, near, _ = _choose_delay(tiles, share, nodes, True, SHARE_ROUNDING)
+        block, near, _ = _choose_delay(scene, share, nodes, True, backend, SHARE_ROUNDING, whole=True)
         if not block:
             return None, "pixels too coarse for float32 blocks"
         block = _even_split(scene.line_length, block)

@@ -61,11 +61,26 @@ class Scene:
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
+        self._away: FloatArray | None = None
         self.step = self.uneven = 0.0
         if found is not None:
             self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
             self.line_length, self.uneven = grid.shape[-1], found[2]
             self.slope = _slope(found, self.origin, tx, rx, self.line_length)
+
+    def within(self, distance: float) -> float:
+        """About the share of terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
+        if distance <= self.nearest or self.lines is None:
+            return 0.0
+        if self._away is None:
+            first, step, _ = self.lines
+            some = np.unique(np.linspace(0, len(first) - 1, 24).astype(int))
+            along = np.linspace(0, self.line_length - 1, 24)[:, None]
+            pixels = (first[some, None] + along * step[some, None]).reshape(-1, 3) - self.origin
+            sensors = self.geometry[:: max(1, self.traces // 48), :6].reshape(-1, 2, 3)
+            away = np.linalg.norm(pixels[:, None, None] - sensors, axis=-1).min(axis=-1)
+            self._away = np.sort(away.ravel())
+        return float(np.searchsorted(self._away, distance) / self._away.size)
 
     def even_line(self) -> bool:
         """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""

@@ -191,7 +191,7 @@ def test_numba_kernels_keep_ieee_arithmetic_and_leave_threads_to_the_caller() ->
 
 
 def compiled_imports(text: str) -> set[str]:
-    return {name for name in imports(text) if {"_core", "_numba", "_numba_tree"} & set(name.split("."))}
+    return {name for name in imports(text) if {"_core", "_numba", "_numba_tree", "_numba_reach"} & set(name.split("."))}
 
 
 def test_only_the_engine_imports_compiled_code() -> None:

@@ -168,11 +168,16 @@ void weigh(const Levels<V>& level, int s, int r, typename V::vec lane, typename 
     cosine = V::mul(cosine, w);
 }
 
-// Add one trace's terms of all lines of a tile. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or
-// null.
+// Vectors of a line's pixels.
+struct Vectors {
+    int begin, end;
+};
+
+// Add one trace's terms of some vectors of a tile's lines. `x`: places of a block's pixels in [-1, 1]; `level`: their
+// weights, or null.
 template <class V, int N, int D, int T, int W>
 void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
-               const Levels<V>* level, const Phase<V, T> phase, const typename V::real* x, const std::uint8_t* take) {
+               const Levels<V>* level, const Phase<V, T> phase, const typename V::real* x, const Vectors* vectors) {
     using real = typename V::real;
     using vec = typename V::vec;
     const Terms<real>& job = *tile.terms;
@@ -183,16 +188,16 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     const vec ratio = V::set(static_cast<real>(job.model.fc / (job.model.fs * job.model.rate)));
     const vec round = V::set(magic<real>());
     const vec lane = lanes<V>();
-    const int used = (tile.count + V::n - 1) / V::n;
     for (int r = 0; r < rows; ++r) {
-        if (!take[r]) continue;
+        const int begin = vectors[r].begin, end = vectors[r].end;
+        if (begin >= end) continue;
         vec c[N - 1];
         for (int q = 0; q < N - 1; ++q) c[q] = V::set(poly.coefficient[q][r]);
         const vec turns = V::set(poly.turns[r]);
         // two short loops: in one, the chain from delay to sum is so long that the processor's scheduler, which holds
         // two vectors' instructions, waits for it
         alignas(64) real intervals[block], position[block], cycles[block];
-        for (int s = 0; s < used; ++s) {
+        for (int s = begin; s < end; ++s) {
             const vec at = V::load(x + s * V::n);
             vec du = c[N - 2];
             for (int q = N - 3; q >= 0; --q) du = V::fma(du, at, c[q]);
@@ -204,7 +209,7 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             const vec ph = V::fma(ratio, du, turns);
             V::store(cycles + s * V::n, V::sub(ph, V::sub(V::add(ph, round), round)));
         }
-        for (int s = 0; s < used; ++s) {
+        for (int s = begin; s < end; ++s) {
             const vec k = V::load(intervals + s * V::n);
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
@@ -216,18 +221,20 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     }
 }
 
-// Add trace number `number`'s terms of line `r` from each pixel's own delay; terms outside the record or the beam weigh
-// nothing.
+// Add trace number `number`'s terms of vectors of line `r` from each pixel's own delay; terms outside the record or the
+// beam weigh nothing.
 template <class V, int D, int T, Kind K>
 std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t number, const typename V::real* table,
-                       const Levels<V>* level, const Phase<V, T>& phase, int r) {
+                       const Levels<V>* level, const Phase<V, T>& phase, int r, Vectors vectors) {
     using real = typename V::real;
     using W = Double;
     const Terms<real>& job = *tile.terms;
     const Model& model = job.model;
     const Trace& trace = job.traces[number];
     alignas(64) double x[3][block];
-    for (int m = 0; m < block; ++m) {
+    const int begin = vectors.begin * V::n, padded = vectors.end * V::n;  // by the last pixel
+    const int end = padded < tile.count ? padded : tile.count;
+    for (int m = begin; m < padded; ++m) {
         const int pixel = m < tile.count ? m : tile.count - 1;
         for (int axis = 0; axis < 3; ++axis) {
             x[axis][m] = tile.lines ? tile.lines[6 * r + axis] + pixel * tile.lines[6 * r + 3 + axis]
@@ -238,7 +245,7 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t numbe
     alignas(64) std::int32_t interval[block];
     W::vec counted = W::set(0.0);
     const W::vec half = W::set(0.5);
-    for (int m = 0; m < block; m += W::n) {
+    for (int m = begin; m < padded; m += W::n) {
         const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
         const W::vec tau = delay<K>(trace, model.c, px, py, pz);
         const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
@@ -269,7 +276,7 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t numbe
         }
     }
     if (level) {
-        for (int m = 0; m < tile.count; ++m) {
+        for (int m = begin; m < end; ++m) {
             const auto& power = level->power[m / V::n];
             const double lane = 2.0 * (m % V::n) / (V::n - 1) - 1;
             weight[m] *= power[0][r] + lane * (power[1][r] + lane * power[2][r]);
@@ -277,12 +284,19 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t numbe
     } else if (tile.weights) {
         const real* own =
             tile.weights->value + static_cast<std::int64_t>(r) * tile.count * tile.weights->n_trace + number;
-        for (int m = 0; m < tile.count; ++m) weight[m] *= own[m * tile.weights->n_trace];
+        for (int m = begin; m < end; ++m) weight[m] *= own[m * tile.weights->n_trace];
     }
-    for (int m = 0; m < tile.count; m += V::n) {
+    for (int m = begin; m < end; m += V::n) {
         typename V::vec sine, cosine, re, im;
         phase(V::load(turns + m), sine, cosine);
-        read<V, D, 0>(table, job.plane_stride, V::load_index(interval + m), V::load(position + m), re, im);
+        std::int32_t first = interval[m], last = first;
+        for (int i = 1; i < V::n; ++i) {
+            first = interval[m + i] < first ? interval[m + i] : first;
+            last = interval[m + i] > last ? interval[m + i] : last;
+        }
+        for (int i = 0; i < V::n; ++i) interval[m + i] -= first;
+        read_within<V, D>(table + first, job.plane_stride, last - first, V::load_index(interval + m),
+                          V::load(position + m), re, im);
         const auto w = V::load(weight + m);
         re = V::mul(re, w);
         im = V::mul(im, w);
@@ -325,7 +339,7 @@ void sum_traces(TileJob<typename V::real>& tile) {
     at.used = (count + V::n - 1) / V::n;
     for (int s = 0; s <= at.used; ++s)
         at.edge[s] = count > 1 && s * V::n < count ? 2.0 * s * V::n / (count - 1) - 1 : 1.0;
-    double row_centre[tile_rows][3], row_radius[tile_rows];
+    Segments segments;
     double corners[2 * tile_rows][3];
     double centre[3], radius;
     if (straight) {
@@ -336,12 +350,13 @@ void sum_traces(TileJob<typename V::real>& tile) {
                 const double half = line[3 + axis] * (count - 1) / 2, middle = line[axis] + half;
                 double* to = axis == 0 ? &at.x[0][r] : axis == 1 ? &at.y[0][r] : &at.z[0][r];
                 for (int j = 0; j < N; ++j) to[j * tile_rows] = middle + job.nodes.at[j] * half;
-                row_centre[r][axis] = middle;
                 corners[2 * r][axis] = middle - half;
                 corners[2 * r + 1][axis] = middle + half;
+                segments.begin[axis][r] = middle - half;
+                segments.along[axis][r] = 2 * half;
                 reach2 += half * half;
             }
-            row_radius[r] = ::sqrt(reach2);
+            segments.scale[r] = reach2 > 0 ? 1 / (4 * reach2) : 0.0;
         }
         radius = sphere(corners[0], 2 * rows, centre);
     } else {
@@ -351,7 +366,7 @@ void sum_traces(TileJob<typename V::real>& tile) {
     for (int i = 0; i < tile_rows * block; ++i) tile.re[i] = tile.im[i] = 0;
     Polynomials<V, N> poly;
     std::int64_t evaluated = 0;
-    std::uint8_t take[tile_rows];
+    Vectors vectors[tile_rows];
     Levels<V> scratch;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
     int active = 0;
@@ -364,34 +379,64 @@ void sum_traces(TileJob<typename V::real>& tile) {
         if (where == Reach::outside) continue;
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
-                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r);
+                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, {0, at.used});
             }
             continue;
         }
         if (level) levels<V>(*tile.weights, i, rows, count, scratch);
-        int lines = active;
-        for (int r = 0; r < rows; ++r) take[r] = tile.active[r];
+        for (int r = 0; r < rows; ++r) vectors[r] = {0, tile.active[r] ? at.used : 0};
         if (where == Reach::across || nearest < job.model.near) {
+            alignas(64) double least[2][tile_rows], most[2][tile_rows];
+            distances(trace.tx, segments, rows, least[0], most[0]);
+            if (K != Kind::monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
+            const int home = K == Kind::monostatic ? 0 : 1;
+            const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
+            bool any = false;
             for (int r = 0; r < rows; ++r) {
-                if (!take[r]) continue;
-                const Reach here = reach(trace, job.model, row_centre[r], row_radius[r], nearest);
-                if (here == Reach::inside && nearest >= job.model.near) continue;
-                if (here != Reach::outside) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r);
-                take[r] = 0;
-                --lines;
+                if (vectors[r].end == 0) continue;
+                const Reach heard =
+                    window(trace, job.model, speed, least[0][r] + least[home][r], most[0][r] + most[home][r]);
+                const Reach lit = beam(trace, job.model, segments, r, (count - 1) / 2.0, (count - 1) / 2.0, count);
+                const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
+                if (heard != Reach::inside || lit != Reach::inside || !far) {
+                    const bool simple = heard == Reach::inside && far;
+                    vectors[r] = {0, 0};
+                    if (heard == Reach::outside || lit == Reach::outside) continue;
+                    Vectors exact = {0, 0};
+                    for (int s = 0; s < at.used; ++s) {
+                        const Reach part = lit == Reach::inside
+                                               ? lit
+                                               : beam(trace, job.model, segments, r, s * V::n + (V::n - 1) / 2.0,
+                                                      (V::n - 1) / 2.0, count);
+                        if (part == Reach::outside) continue;
+                        Vectors& run = simple && part == Reach::inside && (vectors[r].end == 0 || vectors[r].end == s)
+                                           ? vectors[r]
+                                           : exact;
+                        if (&run == &exact && run.end > 0 && run.end < s)
+                            evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, run);
+                        if (run.end < s || run.end == 0) run.begin = s;
+                        run.end = s + 1;
+                    }
+                    if (exact.end > 0) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, exact);
+                }
+                if (vectors[r].end == 0) continue;
+                const int last = vectors[r].end * V::n;
+                evaluated += (last < count ? last : count) - vectors[r].begin * V::n;
+                any = true;
             }
-            if (lines == 0) continue;
+            if (!any) continue;
+        } else {
+            evaluated += static_cast<std::int64_t>(active) * count;
         }
-        evaluated += static_cast<std::int64_t>(lines) * count;
         const double span = polynomials<V, N, K>(job, trace, at, rows, poly);
         if (V::windows >= 1 && span < V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 1 ? 1 : 0)>(tile, table, poly, level, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 1 ? 1 : 0)>(tile, table, poly, level, phase, x, vectors);
         else if (V::windows >= 2 && span < 2 * V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 2 ? 2 : 0)>(tile, table, poly, level, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 2 ? 2 : 0)>(tile, table, poly, level, phase, x, vectors);
         else if (V::windows >= 4 && span < 4 * V::n - 0.5)
-            add_lines<V, N, D, T, (V::windows >= 4 ? 4 : 0)>(tile, table, poly, level, phase, x, take);
+            add_lines<V, N, D, T, (V::windows >= 4 ? 4 : 0)>(tile, table, poly, level, phase, x, vectors);
         else
-            add_lines<V, N, D, T, 0>(tile, table, poly, level, phase, x, take);
+            add_lines<V, N, D, T, 0>(tile, table, poly, level, phase, x, vectors);
     }
     tile.evaluated = evaluated;
 }

@@ -27,27 +27,87 @@ enum class Reach { outside, inside, across };
 
 inline double norm(double x, double y, double z) { return ::sqrt(x * x + y * y + z * z); }
 
+// Whether a sphere about `centre` lies outside, inside or across the beam's cone; `there`: the centre's distance. The
+// cone or, beyond a right angle, what it leaves out is convex, so that distances to its surface are those to a plane at
+// least.
+inline Reach beam(const Trace& g, const Model& model, const double centre[3], double radius, double there) {
+    if (model.cos_beam <= -1.0) return Reach::inside;
+    const double along = (centre[0] - g.tx[0]) * g.boresight[0] + (centre[1] - g.tx[1]) * g.boresight[1] +
+                         (centre[2] - g.tx[2]) * g.boresight[2];
+    const double off = there * there - along * along, across = off > 0 ? ::sqrt(off) : 0.0;
+    const double sine = ::sqrt(1 - model.cos_beam * model.cos_beam);
+    const double depth = along * sine - across * model.cos_beam;
+    // `across` may lose half of its digits; rounding must never decide what the exact path should
+    const double reach = radius + 1e-7 * there;
+    return depth > reach ? Reach::inside : depth < -reach ? Reach::outside : Reach::across;
+}
+
+// The same of the record's window, where distances out and home sum to `least` to `most`; of rounding, one part in 1e9
+// must never decide what the exact path should.
+inline Reach window(const Trace& g, const Model& model, double speed, double least, double most) {
+    const double low = (least / (model.c + speed) * (1 - 1e-9) - g.t0) * model.fs;
+    const double high = (most / (model.c - speed) * (1 + 1e-9) - g.t0) * model.fs;
+    if (high < 0 || low > model.last) return Reach::outside;
+    return low >= 0 && high <= model.last ? Reach::inside : Reach::across;
+}
+
+inline Reach both(Reach one, Reach other) {
+    if (one == Reach::outside || other == Reach::outside) return Reach::outside;
+    return one == Reach::inside ? other : one;
+}
+
 // Whether a sphere lies outside, inside or across the record's window and the beam; `nearest`: its least distance.
 inline Reach reach(const Trace& g, const Model& model, const double centre[3], double radius, double& nearest) {
-    const double d[3] = {centre[0] - g.tx[0], centre[1] - g.tx[1], centre[2] - g.tx[2]};
-    const double there = norm(d[0], d[1], d[2]);
+    const double there = norm(centre[0] - g.tx[0], centre[1] - g.tx[1], centre[2] - g.tx[2]);
     const double back = norm(centre[0] - g.rx[0], centre[1] - g.rx[1], centre[2] - g.rx[2]);
     const double least = there < back ? there : back;
     nearest = least > radius ? least - radius : 0.0;
-    const double speed = norm(g.velocity[0], g.velocity[1], g.velocity[2]);
     const double out = there > radius ? there - radius : 0.0, home = back > radius ? back - radius : 0.0;
-    // one part in 1e9 of slack: rounding must never decide what the exact path should
-    const double low = ((out + home) / (model.c + speed) * (1 - 1e-9) - g.t0) * model.fs;
-    const double high = ((there + back + 2 * radius) / (model.c - speed) * (1 + 1e-9) - g.t0) * model.fs;
-    if (high < 0 || low > model.last) return Reach::outside;
-    Reach where = low >= 0 && high <= model.last ? Reach::inside : Reach::across;
-    if (model.cos_beam > -1.0) {
-        if (there <= radius * (1 + 1e-9)) return Reach::across;
-        const double cosine = (d[0] * g.boresight[0] + d[1] * g.boresight[1] + d[2] * g.boresight[2]) / there;
-        const double angle = ::acos(cosine < -1 ? -1 : cosine > 1 ? 1 : cosine);
-        const double spread = ::asin(radius / there) + 1e-9, limit = ::acos(model.cos_beam);
-        if (angle - spread > limit) return Reach::outside;
-        if (angle + spread > limit) where = Reach::across;
+    const double speed = norm(g.velocity[0], g.velocity[1], g.velocity[2]);
+    return both(window(g, model, speed, out + home, there + back + 2 * radius), beam(g, model, centre, radius, there));
+}
+
+// Lines of a tile from end to end.
+struct Segments {
+    alignas(64) double begin[3][tile_rows], along[3][tile_rows], scale[tile_rows];  // 1 / along^2
+};
+
+// Whether pixels of a line of `count`, `half` either side of number `middle`, lie outside, inside or across the beam.
+inline Reach beam(const Trace& g, const Model& model, const Segments& lines, int r, double middle, double half,
+                  int count) {
+    if (model.cos_beam <= -1.0) return Reach::inside;
+    double at[3], length2 = 0, there2 = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+        const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
+        at[axis] = lines.begin[axis][r] + middle * step;
+        length2 += step * step;
+        there2 += (at[axis] - g.tx[axis]) * (at[axis] - g.tx[axis]);
     }
-    return where;
+    return beam(g, model, at, half * ::sqrt(length2), ::sqrt(there2));
+}
+
+// Least distance of each line from a sensor, and largest, which is that of an end. Spheres about lines that look along
+// the track are far longer than the ranges on them differ.
+inline void distances(const double sensor[3], const Segments& lines, int rows, double* least, double* most) {
+    using V = Double;
+    using vec = V::vec;
+    const vec zero = V::set(0.0), one = V::set(1.0);
+    for (int r = 0; r < rows; r += V::n) {
+        vec d[3], s[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            d[axis] = V::sub(V::load(lines.begin[axis] + r), V::set(sensor[axis]));
+            s[axis] = V::load(lines.along[axis] + r);
+        }
+        const vec dot = V::fma(d[0], s[0], V::fma(d[1], s[1], V::mul(d[2], s[2])));
+        const vec t = V::max(zero, V::min(one, V::sub(zero, V::mul(dot, V::load(lines.scale + r)))));
+        vec nearest = zero, first = zero, last = zero;
+        for (int axis = 0; axis < 3; ++axis) {
+            const vec at = V::fma(t, s[axis], d[axis]), end = V::add(d[axis], s[axis]);
+            nearest = V::fma(at, at, nearest);
+            first = V::fma(d[axis], d[axis], first);
+            last = V::fma(end, end, last);
+        }
+        V::store(least + r, V::sqrt(nearest));
+        V::store(most + r, V::sqrt(V::max(first, last)));
+    }
 }

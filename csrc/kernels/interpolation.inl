@@ -18,3 +18,15 @@ void read(const typename V::real* planes, std::int64_t stride, typename V::idx k
         im = V::fma(im, t, coefficient(2 * q + 1));
     }
 }
+
+// The same, of intervals 0 to `most` from `planes` on.
+template <class V, int D>
+void read_within(const typename V::real* planes, std::int64_t stride, int most, typename V::idx k, typename V::vec t,
+                 typename V::vec& re, typename V::vec& im) {
+    if (V::windows >= 1 && most < V::n)
+        read<V, D, (V::windows >= 1 ? 1 : 0)>(planes, stride, k, t, re, im);
+    else if (V::windows >= 2 && most < 2 * V::n)
+        read<V, D, (V::windows >= 2 ? 2 : 0)>(planes, stride, k, t, re, im);
+    else
+        read<V, D, 0>(planes, stride, k, t, re, im);
+}

@@ -19,15 +19,32 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from pysas.engine._numba_reach import (
+    ACROSS,
+    BORESIGHT,
+    COS_BEAM,
+    CROP,
+    FC,
+    FIRST,
+    FS,
+    LAST,
+    NEAR,
+    OUTSIDE,
+    RATE,
+    RX,
+    T0,
+    TX,
+    VELOCITY,
+    C,
+    line_reach,
+    reach,
+)
+
 BLOCK = 64
 SLOTS = 4
 NODES = 5
+GEOMETRY = 15  # columns of a geometry row, see _numba_reach.py
 WEIGHTS = 5  # places along a block at which its weights are looked up
-# columns of a geometry row: transmitter, receiver, velocity, boresight (3 each), t0, index of sample 0 kept, first interval
-TX, RX, VELOCITY, BORESIGHT, T0, CROP, FIRST = 0, 3, 6, 9, 12, 13, 14
-GEOMETRY = 15
-# columns of the model: c, fc, fs, over-sampling, last counted index, cos(half-angle), least distance for polynomials
-C, FC, FS, RATE, LAST, COS_BEAM, NEAR = 0, 1, 2, 3, 4, 5, 6
 MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2
 _FLAGS = ("contract",)
 _FAST = {"contract", "nsz"}
@@ -210,40 +227,6 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
     return terms
 
 
-OUTSIDE, INSIDE, ACROSS = 0, 1, 2
-
-
-@njit(nogil=True, cache=True)
-def _reach(g, model, centre, radius):
-    """Whether a sphere lies outside, inside or across the record's window and the beam, and its least distance."""
-    there = np.sqrt((centre[0] - g[TX]) ** 2 + (centre[1] - g[TX + 1]) ** 2 + (centre[2] - g[TX + 2]) ** 2)
-    back = np.sqrt((centre[0] - g[RX]) ** 2 + (centre[1] - g[RX + 1]) ** 2 + (centre[2] - g[RX + 2]) ** 2)
-    nearest = max(min(there, back) - radius, 0.0)
-    speed = np.sqrt(g[VELOCITY] ** 2 + g[VELOCITY + 1] ** 2 + g[VELOCITY + 2] ** 2)
-    low = (max(there - radius, 0.0) + max(back - radius, 0.0)) / (model[C] + speed)
-    high = (there + back + 2 * radius) / (model[C] - speed)
-    # one part in 1e9 of slack: rounding must never decide what the exact block should
-    low = (low * (1 - 1e-9) - g[T0]) * model[FS]
-    high = (high * (1 + 1e-9) - g[T0]) * model[FS]
-    if high < 0 or low > model[LAST]:
-        return OUTSIDE, nearest
-    where = INSIDE if low >= 0 and high <= model[LAST] else ACROSS
-    if model[COS_BEAM] > -1.0:
-        if there <= radius * (1 + 1e-9):
-            return ACROSS, nearest
-        along = 0.0
-        for axis in range(3):
-            along += (centre[axis] - g[TX + axis]) * g[BORESIGHT + axis]
-        angle = np.arccos(min(1.0, max(-1.0, along / there)))
-        spread = np.arcsin(radius / there) + 1e-9
-        limit = np.arccos(model[COS_BEAM])
-        if angle - spread > limit:
-            return OUTSIDE, nearest
-        if angle + spread > limit:
-            where = ACROSS
-    return where, nearest
-
-
 @njit(nogil=True, cache=True)
 def _sphere(x, y, z):
     """Centre and radius of a sphere that holds all points."""
@@ -349,7 +332,7 @@ def sum_blocks(
     near = np.empty(geometry.shape[0], dtype=np.bool_)
     found = 0
     for trace in range(geometry.shape[0]):
-        where, nearest = _reach(geometry[trace], model, centre, radius)
+        where, nearest = reach(geometry[trace], model, centre, radius)
         if where != OUTSIDE:
             traces[found], place[found], near[found] = trace, where, nearest < model[NEAR]
             found += 1
@@ -363,7 +346,6 @@ def sum_blocks(
     start = np.empty((SLOTS, rows), dtype=np.int32)
     part = np.empty((2, BLOCK), dtype=x.dtype)
     tau = np.empty(max(BLOCK, NODES * rows))
-    row_centre = np.empty(3)
     ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
     terms = 0
     for group in range(0, found, SLOTS):
@@ -382,12 +364,8 @@ def sum_blocks(
                 if slot < filled:
                     where, exact = place[i], not straight or near[i]
                     if where == ACROSS and not exact:
-                        reach = 0.0
-                        first, last = r * count, r * count + count - 1
-                        row_centre[0], row_centre[1] = (px[first] + px[last]) / 2, (py[first] + py[last]) / 2
-                        row_centre[2] = (pz[first] + pz[last]) / 2
-                        reach = ((px[last] - px[first]) ** 2 + (py[last] - py[first]) ** 2 + (pz[last] - pz[first]) ** 2) / 4
-                        where, _ = _reach(geometry[traces[i]], model, row_centre, np.sqrt(reach))
+                        lo, hi = r * count, (r + 1) * count
+                        where = line_reach(geometry[traces[i]], model, px[lo:hi], py[lo:hi], pz[lo:hi])
                         exact = where == ACROSS
                 if where == OUTSIDE:
                     interval[at : at + BLOCK] = 0

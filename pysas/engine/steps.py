@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba, _numba_tree, native, summation
+from pysas.engine import _numba, _numba_reach, _numba_tree, native, summation
 from pysas.engine.preparation import Interpolator
 from pysas.engine.summation import Survey
 from pysas.engine.tree import SubImages, Taps
@@ -180,7 +180,7 @@ class Interpreted:
         geometry, flat = self._numbered(survey)
         model = survey.model.copy()
         lattice, axes = survey.weighing()
-        model[_numba.NEAR] = 0.0  # leaves have polynomials at any distance that the planner lets them have
+        model[_numba_reach.NEAR] = 0.0  # leaves have polynomials at any distance that the planner lets them have
 
         def add(task: int) -> None:
             i, begin, end = pieces[task]
@@ -282,7 +282,7 @@ class Interpreted:
     def _numbered(self, survey: Survey) -> tuple[FloatArray, Single]:
         """Geometry with each trace's first interval, and the table that this counts in."""
         geometry = survey.geometry.copy()
-        geometry[:, _numba.FIRST] = np.arange(len(geometry)) * self.reader.intervals
+        geometry[:, _numba_reach.FIRST] = np.arange(len(geometry)) * self.reader.intervals
         return geometry, self.rows.reshape(-1).view(np.float32)
 
     def _run(self, task: Callable[[int], None], count: int, tick: Tick) -> None:

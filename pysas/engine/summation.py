@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba
+from pysas.engine import _numba, _numba_reach
 from pysas.engine.preparation import Interpolator, coefficients, segments
 
 
@@ -169,7 +169,7 @@ def accumulate(
         weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
         prepare(traces, part, survey.start[begin : begin + part.size], weights, scale, reader, table, threads)
         geometry = survey.geometry[begin : begin + part.size].copy()
-        geometry[:, _numba.FIRST] = np.arange(part.size) * reader.intervals
+        geometry[:, _numba_reach.FIRST] = np.arange(part.size) * reader.intervals
         flat_table = table.reshape(-1).view(kind)
         now = time.perf_counter()
         prepared += now - clock
