@@ -1,20 +1,20 @@
 """Every method on every scene, its error beside its run time: `python -m bench.report` writes docs/error-vs-time.md.
 
-    python -m bench.report            six scenes; within 40 minutes on two cores
+    python -m bench.report            six scenes, seven with measured data; within 40 minutes on two cores
     python -m bench.report --quick    the same scenes, small, and fewer settings; within 5 minutes
 
-Runs are interleaved, after a first run that is not counted. Error and responses are against `pysas.reference.exact` on the
-same pixels: cuts through the target and random ones among the points (`bench.report_scenes`).
+What runs and how it is judged is `pysas.comparison`'s; the scenes are `bench.report_scenes`'. The seventh is the public Gotcha
+data, where the environment variable PYSAS_DATA names the folder that holds them.
 """
 
 import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import platform
 import signal
 import time
-import warnings
 from functools import partial
 from pathlib import Path
 
@@ -24,31 +24,12 @@ import numpy as np
 import pysas
 from bench.backprojection import kernels
 from bench.plain_loop import plain_loop
-from bench.report_scenes import C, scenes, tiny
-from bench.report_text import document, figure
+from bench.report_scenes import C, measured, scenes, tiny
+from bench.report_text import document
+from pysas import comparison
 
-TOLS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
+RANDOM, LIMIT = {True: 200, False: 400}, {True: 6.0, False: 40.0}  # pixels and s, by whether the run is quick
 ENGINES = {"backproject": pysas.backproject, "ffbp": pysas.ffbp}
-
-
-class TooLong(Exception):
-    """A run passed its limit."""
-
-
-@contextlib.contextmanager
-def at_most(seconds):
-    """Raise `TooLong` from what runs longer; all methods poll for signals as they do for Ctrl-C."""
-
-    def stop(*_):
-        raise TooLong(f"stopped after {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def on(isa, call):
@@ -73,6 +54,8 @@ def on(isa, call):
 def plain(scene, threads):
     """The yardstick's image, as an `Image`."""
     echoes, grid = scene.echoes, scene.grid
+    if np.ptp(echoes.start_time) > 0:
+        raise ValueError("records start at different times: expected one")
     numba.set_num_threads(threads)
     axes = grid.axes["x"], grid.axes["y"]
     t0 = float(echoes.start_time[0])
@@ -82,79 +65,18 @@ def plain(scene, threads):
 
 def methods(scene, threads, quick):
     """Calls by (method, setting); each gives an image."""
-    echoes, grid, reference = scene.echoes, scene.grid, pysas.reference
+    echoes, grid = scene.echoes, scene.grid
     names = kernels()
     best = names[min(1, len(names) - 1)][0]
     found = {}
     for method, engine in ENGINES.items():
         for name, backend, isa in names:
-            for tol in TOLS if not quick or name == best else (1e-3,):
+            for tol in comparison.TOLS if not quick or name == best else (1e-3,):
                 call = partial(engine, echoes, grid, tol, threads=threads, backend=backend)
                 found[f"{method}, {name}", f"tol {tol:.0e}"] = on(isa, call)
-    settings = [("sinc", 2), ("cubic", 2), ("linear", 2), ("linear", 8)]
-    for interpolation, padding in settings if quick else [*settings, ("linear", 1), ("linear", 4)]:
-        found["omega-k", f"{interpolation}, zp {padding}"] = partial(
-            reference.omega_k, echoes, interpolation=interpolation, zero_padding=padding, weight="backprojection",
-            threads=threads,
-        )  # fmt: skip
-    found["range-Doppler", "sinc"] = partial(reference.range_doppler, echoes, threads=threads)
-    found["range-Doppler", "linear"] = partial(reference.range_doppler, echoes, interpolation="linear", threads=threads)
-    found["chirp scaling", "raw echoes"] = partial(reference.chirp_scaling, scene.raw, threads=threads)
-    for angle in (45,) if quick else (15, 45, 65):
-        found["one-way", f"{angle} degrees"] = partial(
-            reference.one_way, echoes, grid, angle=angle, weight="backprojection", half_angle=scene.beam, threads=threads
-        )
-    for error in (1e-1,) if quick else (1e-1, 1e-2):
-        found["fourier_image, nufft", f"error {error:.0e}"] = partial(
-            reference.fourier_image, echoes, grid, "nufft", error=error, threads=threads
-        )
+    found |= comparison.methods(echoes, grid, (), raw=scene.raw, half_angle=scene.beam, fewer=quick, threads=threads)
     found["plain loop", "linear"] = partial(plain, scene, threads)
     return found
-
-
-class Answers:
-    """The exact sum on the sampled pixels of each grid that turns up; methods that share a grid share its pixels."""
-
-    def __init__(self, scene, count):
-        self.scene, self.count, self.known = scene, count, {}
-
-    def of(self, grid):
-        key = tuple(np.round(axis, 9).tobytes() for axis in grid.axes.values())
-        if key not in self.known:
-            parts = self.scene.pixels(grid, self.count)
-            pixels = np.concatenate(parts)
-            self.known[key] = parts, pixels, *pysas.reference.exact(self.scene.echoes, grid, pixels)
-        return self.known[key]
-
-
-def shape(values, parts, grid):
-    """IRW (m) and PSLR (dB) along x and y of sampled `values`; None where there is no main lobe to measure."""
-    found = {"irw": [], "pslr": []}
-    for begin, part, name in ((0, parts[0], "x"), (len(parts[0]), parts[1], "y")):
-        axis, cut = grid.axes[name], values[begin : begin + len(part)]
-        try:
-            width, side = pysas.metrics.irw(cut, abs(axis[1] - axis[0])), pysas.metrics.pslr(cut)
-        except ValueError:
-            width = side = None
-        found["irw"].append(width)
-        found["pslr"].append(side)
-    return found
-
-
-def judged(method, image, answers):
-    """Error, peak loss and response of an image against the exact sum on the same pixels."""
-    parts, pixels, exact, level = answers.of(image.grid)
-    values = image.data.ravel()[pixels].astype(complex)
-    fitted = method in ("range-Doppler", "chirp scaling")
-    if fitted:  # peaks grow as sqrt(r), those of the sum as r; the factor itself is free
-        values *= np.sqrt(np.abs(image.grid.axes["y"][pixels // image.grid.shape[1]]))
-        values *= np.vdot(values, exact) / np.vdot(values, values)
-    peak = len(parts[0]) // 2
-    return {
-        "error": pysas.metrics.relative_error(values, exact, level), "fitted": fitted,
-        "loss": float(20 * np.log10(np.abs(exact[peak]) / np.abs(values[peak]))), "share": image.report.factorised_share,
-        "pixels": int(image.data.size), **shape(values, parts, image.grid),
-    }  # fmt: skip
 
 
 def memory(call):
@@ -184,51 +106,22 @@ def memory(call):
     return float(text) if text else None
 
 
-def timed(call):
-    clock = time.perf_counter()
-    image = call()
-    return image, time.perf_counter() - clock
-
-
 def measure(scene, threads, quick, rounds, limit):
-    """Rows of what ran, and why the others did not."""
-    answers = Answers(scene, 200 if quick else 400)
-    rows, left_out, warned, calls = [], {}, {}, methods(scene, threads, quick)
-    for (method, setting), call in list(calls.items()):
+    """A scene's comparison, with the memory of what is not slow."""
+    calls = methods(scene, threads, quick)
+    for (method, _), call in calls.items():
         if "numba" in method:  # the tiny scenes may not have compiled all that this one needs
             call()
-        try:
-            with at_most(limit), warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                image, first = timed(call)
-        except (ValueError, TooLong) as error:
-            left_out[f"{method}, {setting}"] = str(error)
-            del calls[method, setting]
-            continue
-        if caught:
-            warned[f"{method}, {setting}"] = "; ".join(dict.fromkeys(str(w.message) for w in caught))
-        rows.append({"method": method, "setting": setting, "first": first, **judged(method, image, answers)})
-        del image
-    times = [[] for _ in rows]
-    for _ in range(rounds):
-        for row, spent, call in zip(rows, times, calls.values(), strict=True):
-            if spent and row["first"] > limit / 4:
-                continue  # once is enough of what is slow
-            image, seconds = timed(call)
-            spent.append((seconds, image.report.prepare_seconds, image.report.sum_seconds))
-            del image
-    for row, spent, call in zip(rows, times, calls.values(), strict=True):
-        total, prepare, summed = np.array(spent).T
-        row |= {
-            "seconds": float(np.median(total)), "least": float(total.min()), "most": float(total.max()), "runs": len(total),
-            "prepare": float(np.median(prepare)), "sum": float(np.median(summed)),
-        }  # fmt: skip
-        row["terms_per_second"] = scene.traces * row["pixels"] / row["seconds"]
-        # libgomp, which the plain loop runs on, does not survive a fork
-        row["memory"] = None if row["method"] == "plain loop" or row["first"] > limit / 4 else memory(call)
-    parts, _, exact, _ = answers.of(scene.grid)
-    return {"about": scene.about, "traces": scene.traces, "samples": scene.echoes.n_sample, "grid": list(scene.grid.shape),
-            "exact": shape(exact, parts, scene.grid), "rows": rows, "left_out": left_out, "warned": warned}  # fmt: skip
+    found = comparison.compare(
+        scene.echoes, calls, target=scene.target, half=scene.half, count=RANDOM[quick], rounds=rounds, limit=limit
+    )
+    # libgomp, which the plain loop runs on, does not survive a fork
+    rows = [
+        row if row.method == "plain loop" or row.seconds > limit / 4
+        else dataclasses.replace(row, memory=memory(calls[row.method, row.setting]))
+        for row in found.rows
+    ]  # fmt: skip
+    return dataclasses.replace(found, rows=tuple(rows))
 
 
 def machine(threads):
@@ -253,16 +146,24 @@ def main():
             with contextlib.suppress(ValueError):
                 call()
     print(f"compiled after {time.perf_counter() - clock:.0f} s", flush=True)
-    found = {}
+    found, about = {}, {}
     for name, make in scenes(args.quick).items():
-        found[name] = measure(make(args.threads), args.threads, args.quick, 3, 6.0 if args.quick else 40.0)
-        print(f"{name}: {len(found[name]['rows'])} rows after {time.perf_counter() - clock:.0f} s", flush=True)
-    result = {"quick": args.quick, "c": C, "machine": host, "seconds": time.perf_counter() - clock, "scenes": found}
+        scene = make(args.threads)
+        found[name], about[name] = measure(scene, args.threads, args.quick, 3, LIMIT[args.quick]), scene.about
+        print(f"{name}: {len(found[name].rows)} rows after {time.perf_counter() - clock:.0f} s", flush=True)
+    if not measured():
+        print("measured Gotcha: left out, PYSAS_DATA does not name its folder", flush=True)
+    result = {
+        "quick": args.quick, "c": C, "machine": host, "seconds": time.perf_counter() - clock,
+        "scenes": {name: {"about": about[name], **dataclasses.asdict(scene)} for name, scene in found.items()},
+    }  # fmt: skip
     for folder in (Path(args.docs), Path(args.json).parent):
         folder.mkdir(parents=True, exist_ok=True)
     Path(args.json).write_text(json.dumps(result, indent=1), encoding="utf-8")
-    Path(args.docs, "error-vs-time.md").write_text(document(result), encoding="utf-8")
-    figure(Path(args.docs, "error-vs-time.jpg"), result)
+    text = document(found, about, host, result["seconds"], args.quick, RANDOM[args.quick], LIMIT[args.quick], measured())
+    Path(args.docs, "error-vs-time.md").write_text(text, encoding="utf-8")
+    drawn = comparison.figure({f"{name}, {about[name]}": scene for name, scene in found.items()})
+    drawn.savefig(Path(args.docs, "error-vs-time.jpg"), dpi=80, pil_kwargs={"quality": 75, "optimize": True})
 
 
 if __name__ == "__main__":

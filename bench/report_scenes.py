@@ -4,44 +4,39 @@ Straight tracks lie in the plane of the image, as the Fourier algorithms have it
 those that `range_doppler` returns. The beam falls as cos^2 to nothing where the pings stop sampling it.
 """
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 import pysas
 
+GOTCHA = "gotcha_phase_history.npz"
 C, FC, SWEEP = 1500.0, 100e3, 20e3
 PULSE = pysas.LFM(FC, SWEEP, 2e-3, "tukey", 0.6)
 BAND = 26e3  # holds all but 6e-6 of the compressed pulse
 LEVEL, MARGIN = 0.3, 0.4  # amplitude of the weaker points; record beyond the points, m
-REACH = 24  # pixels of a cut either side of the target
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is imaged, and where errors are taken: along cuts through the target and on random pixels among the points."""
+    """What is imaged, and where errors are taken: along cuts through the target and on random pixels within `half` of it.
+
+    Measured echoes have neither target nor raw echoes.
+    """
 
     about: str
-    raw: pysas.Echoes
+    raw: pysas.Echoes | None
     echoes: pysas.Echoes
     grid: pysas.Grid
-    target: tuple[float, float]
-    half: tuple[float, float]
+    target: tuple[float, float] | None
+    half: tuple[float, float] | None
     beam: float | None
 
     @property
     def traces(self):
         return self.echoes.n_ping * self.echoes.n_channel
-
-    def pixels(self, grid, count):
-        """Flat indices in a plane `grid`: row's cut, column's cut, random ones; of each the pixels nearest the same places."""
-        x, y = grid.axes["x"], grid.axes["y"]
-        column, row = (int(np.argmin(np.abs(a - place))) for a, place in zip((x, y), self.target, strict=True))
-        reach = np.arange(-REACH, REACH + 1)
-        rng = np.random.default_rng(0)
-        at = [t + rng.uniform(-h, h, count) for t, h in zip(self.target, self.half, strict=True)]
-        columns, rows = (np.argmin(np.abs(a[:, None] - place), axis=0) for a, place in zip((x, y), at, strict=True))
-        return row * x.size + column + reach, (row + reach) * x.size + column, rows * x.size + columns
 
 
 def field(target, half, clear, count=24, seed=2):
@@ -127,6 +122,17 @@ def circular(about, pings, pixels, threads=2):
     return Scene(about, raw, compressed(raw, threads), pysas.Grid.plane(axis, axis), (0.0, 0.0), half, None)
 
 
+def gotcha(size, pixel):
+    """AFRL's Gotcha, a measured car park, under a Hann window over frequency (`examples/gotcha.py`)."""
+    with np.load(Path(os.environ["PYSAS_DATA"]) / GOTCHA) as file:
+        window = np.hanning(file["freq"].size + 2)[1:-1]
+        history = file["phase_history"] * (window / window.mean()).astype(np.float32)
+        echoes = pysas.from_phase_history(history, file["freq"], file["position"], file["r0"], float(file["c"]))
+    half = round(size / 2 / pixel)
+    axis = pixel * np.arange(-half, half + 1)
+    return Scene("10 km, X band, 4 degrees", None, echoes, pysas.Grid.plane(axis, axis), None, None, None)
+
+
 def tiny(threads):
     """What every kernel is compiled on."""
     return [
@@ -157,7 +163,15 @@ def scenes(quick):
     made = {name: lambda threads, a=a: straight(*a, threads=threads) for name, a in lines.items()}
     made["perturbed track, 6 moving receivers"] = lambda threads: moving("25 m, 6 m above", *others[0], threads)
     made["circular"] = lambda threads: circular("radius 15 m, 6 m above", *others[1], threads)
-    return {name: made[name] for name in ORDER}
+    found = {name: made[name] for name in ORDER}
+    if measured():
+        found["measured Gotcha"] = lambda threads: gotcha(*((30.0, 0.2) if quick else (100.0, 0.2)))
+    return found
+
+
+def measured():
+    """Whether the measured data are there."""
+    return "PYSAS_DATA" in os.environ and Path(os.environ["PYSAS_DATA"], GOTCHA).is_file()
 
 
 ORDER = (

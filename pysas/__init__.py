@@ -1,6 +1,6 @@
 """pysas: an imaging engine for synthetic aperture sonar. State a relative error `tol`; the engine keeps it."""
 
-from pysas import circular, metrics, plot, reference, tracks
+from pysas import circular, comparison, metrics, plot, reference, tracks
 from pysas.backprojection import backproject, backproject_arrays
 from pysas.compression import compress
 from pysas.echoes import Beam, Echoes
@@ -17,7 +17,7 @@ from pysas.simulation import simulate
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "circular", "compress", "ffbp",
-    "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot", "reference", "save",
-    "show_config", "simulate", "tracks",
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "circular", "comparison",
+    "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot",
+    "reference", "save", "show_config", "simulate", "tracks",
 ]  # fmt: skip

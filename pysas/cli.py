@@ -59,22 +59,31 @@ def parser() -> argparse.ArgumentParser:
     demo.add_argument("-o", "--output", default="demo", metavar="DIR", help="folder for the results (default: demo)")
     workers(demo)
 
+    def scene(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
+        sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="along-track span, m")
+        sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="across-track span, m")
+        sub.add_argument("--z", type=float, metavar="Z", help="height of the imaged plane, m (default: 0)")
+        sub.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
+        sub.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
+        sub.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
+        sub.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
+        workers(sub)
+
     image = command("image", "image echoes from a file")
-    image.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
+    scene(image)
     image.add_argument("-o", "--output", metavar="IMAGE", help="image file to write (.npz, .h5)")
     image.add_argument("--tol", type=float, default=1e-3, help="relative error to keep (default: 1e-3)")
-    image.add_argument("--x", type=_span, metavar="MIN:MAX", help="along-track span, m")
-    image.add_argument("--y", type=_span, metavar="MIN:MAX", help="across-track span, m")
-    image.add_argument("--z", type=float, metavar="Z", help="height of the imaged plane, m (default: 0)")
-    image.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
-    image.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
-    image.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
     image.add_argument(
         "--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto: the faster, by prediction"
     )
     image.add_argument("--backend", choices=("auto", "numba", "cpp"), default="auto")
-    image.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
-    workers(image)
+
+    compare = command("compare", "run every method on echoes from a file: its time beside its error, as a table and a figure")
+    scene(compare)
+    compare.add_argument("-o", "--output", metavar="TABLE", help="file to write the table to (Markdown)")
+    compare.add_argument("--tol", type=float, nargs="+", metavar="TOL", help="of the engines (default: 1e-1 to 1e-5)")
+    compare.add_argument("--limit", type=float, default=60.0, metavar="SECONDS", help="longest run (default: 60)")
 
     simulate = command("simulate", "write simulated raw echoes")
     simulate.add_argument("-o", "--output", required=True, metavar="RAW", help="file to write (.npz, .h5)")

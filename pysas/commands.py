@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import errno
 import json
 import time
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pysas import compression, framing, io, metrics, plot, reference, tracks
+from pysas import _checks, comparison, compression, framing, io, metrics, plot, reference, tracks
 from pysas import demo as demonstration
 from pysas._checks import FloatArray
 from pysas.cli import Progress
@@ -111,6 +112,61 @@ def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None)
         "targets": targets,
     }  # fmt: skip
     return picture, summary, echoes
+
+
+def compare(arguments: argparse.Namespace, progress: Progress) -> int:
+    """Every method on a file of echoes, its time beside its error."""
+    picture = None if arguments.png is None else _picture(arguments.png)
+    _require_places(None, arguments.png, arguments.output)
+    limit = _checks.number("limit", arguments.limit, positive=True)
+    echoes = _echoes(arguments.raw)
+    grid, how = _grid(arguments, echoes)
+    if grid.kind not in ("plane", "surface"):
+        raise ValueError(f"--grid {arguments.grid}: found {grid.kind}, expected a plane or a surface")
+    for tol in arguments.tol or ():
+        plan(echoes.replace(compressed=True), grid, tol, "backprojection", arguments.threads)
+    if arguments.nan == "mask":
+        echoes = _silenced(echoes)
+    raw = None if echoes.compressed else echoes
+    if raw is not None:
+        echoes = compression.compress(raw, threads=arguments.threads, progress=progress.step("compressing"))
+    calls = comparison.methods(echoes, grid, arguments.tol or comparison.TOLS, raw=raw, threads=arguments.threads)
+    found = comparison.compare(echoes, calls, limit=limit, progress=progress.step("comparing"))
+    text = f"{Path(arguments.raw).name}: {found.traces} traces x {found.samples} samples; {how}, {grid.shape[0]} x "
+    text += f"{grid.shape[1]} pixels\n\n{comparison.table(found)}\n{_COMPARED}"
+    if arguments.output is not None:
+        with io.replacing(arguments.output) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if picture is not None:
+        drawn = comparison.figure({Path(arguments.raw).name: found})
+        with io.replacing(arguments.png) as temporary:
+            drawn.savefig(temporary, format=picture, dpi=100)
+    if arguments.json:
+        names = {"raw": arguments.raw, "table": arguments.output, "png": arguments.png, "grid": how}
+        print(json.dumps(names | dataclasses.asdict(found) | {"front": comparison.front(found.rows)}))
+    else:
+        print(text, end="")
+    return 0
+
+
+_COMPARED = """\
+s: median of the whole call (least to most). error: relative L2 against the float64 sum, in the norm of tol, on the cuts through
+the strongest pixel and random pixels of each method's own grid; loss: of that pixel; IRW, PSLR: along x / y. *: after
+sqrt(range) and one fitted factor. pixels: where other than above. front: none here is both faster and closer.
+"""
+
+
+def _picture(path: str) -> str:
+    """Format of a picture by its suffix."""
+    if not _matplotlib():
+        raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+    from matplotlib.figure import Figure
+
+    found = Path(path).suffix.lstrip(".").lower() or "png"
+    known = Figure().canvas.get_supported_filetypes()
+    if found not in known:
+        raise ValueError(f"{path}: found suffix {Path(path).suffix!r}, expected one of {', '.join(sorted(known))}")
+    return found
 
 
 def _require_places(*names: str | None) -> None:

@@ -1,0 +1,63 @@
+"""A panel of the figure that `pysas.comparison` draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pysas.comparison import Row
+
+_ENGINES = ("backproject", "ffbp")
+# marker and colour of what is not an engine
+_STYLES = {
+    "omega-k": ("D", "tab:green"), "range-Doppler": ("P", "tab:purple"), "chirp scaling": ("X", "tab:brown"),
+    "one-way": ("*", "tab:pink"), "fourier_image, nufft": ("h", "tab:olive"), "fourier_image, gridding": ("<", "tab:cyan"),
+    "fourier_image, frame": (">", "tab:orange"), "fourier_image, ftcg": ("d", "goldenrod"), "plain loop": ("p", "black"),
+}  # fmt: skip
+_KERNELS = {"numba": "s", "avx512": "o", "avx2": "^", "baseline": "v"}
+
+
+def draw(ax: Any, rows: Sequence[Row], front: Sequence[int]) -> None:
+    """Points of every method, those of an engine joined, over the front."""
+    from matplotlib.ticker import LogLocator
+
+    best = [rows[i] for i in front]
+    ax.plot([r.seconds for r in best], [r.error for r in best], color="0.85", lw=7, zorder=0, label="Pareto front")
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if row.method == method]
+        engine = method.split(", ")[0] in _ENGINES
+        if engine:
+            marker = _KERNELS.get(method.split()[-1], "o")
+            colour = "tab:blue" if method.startswith("backproject") else "tab:red"
+        else:
+            marker, colour = _STYLES.get(method, ("8", "tab:gray"))
+        ax.plot(
+            [r.seconds for r in own], [r.error for r in own], marker=marker, color=colour, ls="-" if engine else "none", lw=1,
+            ms=7, mfc="none" if method.endswith(("numba", "baseline")) else colour, label=method,
+        )  # fmt: skip
+    ax.set(xscale="log", yscale="log", xlabel="seconds", ylabel="relative L2 error")
+    ax.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter("{x:g}")
+    ax.margins(x=0.12)
+    ax.grid(alpha=0.3, which="both", lw=0.5)
+
+
+def name_settings(ax: Any, rows: Sequence[Row]) -> None:
+    """Settings beside the points of methods that have several, clear of each other and of the points where there is room."""
+    places = ax.transData.transform([(row.seconds, row.error) for row in rows])
+    taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in places]
+    scale = ax.figure.dpi / 72
+    for row, (x, y) in zip(rows, places, strict=True):
+        if row.method.split(", ")[0] in _ENGINES or sum(other.method == row.method for other in rows) < 2:
+            continue
+        wide, high = 4.3 * scale * len(row.setting), 9 * scale
+        spots = [(dx, dy) for dy in (-4, 6, -14, 16, -24, 26) for dx in (6, -6 - wide / scale)]
+        boxes = [(x + dx * scale, y + dy * scale, x + dx * scale + wide, y + dy * scale + high) for dx, dy in spots]
+        meets = [sum(a < right and b > left and c < top and d > low for a, c, b, d in taken) for left, low, right, top in boxes]
+        chosen = int(np.argmin(meets))
+        taken.append(boxes[chosen])
+        ax.annotate(row.setting, (row.seconds, row.error), xytext=spots[chosen], textcoords="offset points", fontsize=8)
