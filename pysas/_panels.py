@@ -60,4 +60,9 @@ def name_settings(ax: Any, rows: Sequence[Row]) -> None:
         meets = [sum(a < right and b > left and c < top and d > low for a, c, b, d in taken) for left, low, right, top in boxes]
         chosen = int(np.argmin(meets))
         taken.append(boxes[chosen])
-        ax.annotate(row.setting, (row.seconds, row.error), xytext=spots[chosen], textcoords="offset points", fontsize=8)
+        line = (
+            {"arrowstyle": "-", "lw": 0.5, "color": "0.4", "shrinkA": 0.0} if chosen > 3 else None
+        )  # it is far from its point
+        ax.annotate(
+            row.setting, (row.seconds, row.error), xytext=spots[chosen], textcoords="offset points", fontsize=8, arrowprops=line
+        )

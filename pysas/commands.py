@@ -118,19 +118,19 @@ def compare(arguments: argparse.Namespace, progress: Progress) -> int:
     """Every method on a file of echoes, its time beside its error."""
     picture = None if arguments.png is None else _picture(arguments.png)
     _require_places(None, arguments.png, arguments.output)
-    limit = _checks.number("limit", arguments.limit, positive=True)
+    limit, workers = _checks.number("limit", arguments.limit, positive=True), _checks.threads(arguments.threads)
     echoes = _echoes(arguments.raw)
     grid, how = _grid(arguments, echoes)
     if grid.kind not in ("plane", "surface"):
         raise ValueError(f"--grid {arguments.grid}: found {grid.kind}, expected a plane or a surface")
     for tol in arguments.tol or ():
-        plan(echoes.replace(compressed=True), grid, tol, "backprojection", arguments.threads)
+        plan(echoes.replace(compressed=True), grid, tol, "backprojection", workers)
     if arguments.nan == "mask":
         echoes = _silenced(echoes)
     raw = None if echoes.compressed else echoes
     if raw is not None:
-        echoes = compression.compress(raw, threads=arguments.threads, progress=progress.step("compressing"))
-    calls = comparison.methods(echoes, grid, arguments.tol or comparison.TOLS, raw=raw, threads=arguments.threads)
+        echoes = compression.compress(raw, threads=workers, progress=progress.step("compressing"))
+    calls = comparison.methods(echoes, grid, arguments.tol or comparison.TOLS, raw=raw, threads=workers)
     found = comparison.compare(echoes, calls, limit=limit, progress=progress.step("comparing"))
     text = f"{Path(arguments.raw).name}: {found.traces} traces x {found.samples} samples; {how}, {grid.shape[0]} x "
     text += f"{grid.shape[1]} pixels\n\n{comparison.table(found)}\n{_COMPARED}"
