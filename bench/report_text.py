@@ -1,6 +1,6 @@
 """What `bench.report` writes about its tables."""
 
-from pysas.comparison import pair, table
+from pysas.comparison import table
 
 HEAD = """# Error against run time
 
@@ -51,9 +51,8 @@ def document(found, about, host, seconds, quick, random, limit, measured):
     ]  # fmt: skip
     for name, scene in found.items():
         size = " x ".join(map(str, scene.shape))
-        irw, pslr = pair(scene.irw, ".2f", 100), pair(scene.pslr, ".1f")
         text.append(
             f"## {name[0].upper()}{name[1:]}\n\n{about[name]}; {scene.traces} traces x {scene.samples} samples, "
-            f"{size} pixels. Exact sum: IRW {irw} cm, PSLR {pslr} dB.\n\n{table(scene)}"
+            f"{size} pixels. {table(scene)}"
         )
     return "\n".join(text)

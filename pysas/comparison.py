@@ -34,8 +34,8 @@ Pair = tuple[float | None, float | None]
 TOLS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 _ENGINES: dict[str, Callable[..., Image]] = {"backproject": backproject, "ffbp": ffbp}
 _FITTED = ("range-Doppler", "chirp scaling")  # without the weight of the sum: a law of range and one factor are free
-# each does all that the other does and then solves: it is not tried where the other took too long
-_CONTAINS = {f"fourier_image, {name}": "fourier_image, gridding" for name in ("frame", "ftcg")}
+# they begin as the other does and end with more work than it: not tried where it took too long
+_DEARER = {f"fourier_image, {name}": "fourier_image, gridding" for name in ("frame", "ftcg")}
 _REACH = 24  # pixels of a cut either side of the target
 _SLOW = 0.25  # of the limit: what takes longer is timed once
 
@@ -153,7 +153,7 @@ def methods(
     found: dict[tuple[str, str], Call] = {}
     for name, engine in _ENGINES.items():
         for tol in tols:
-            found[name, f"tol {tol:.0e}"] = partial(engine, echoes, grid, tol, threads=threads)
+            found[name, f"tol {tol:g}"] = partial(engine, echoes, grid, tol, threads=threads)
     settings = [("sinc", 2), ("cubic", 2), ("linear", 2), ("linear", 8)]
     for interpolation, padding in settings if fewer else [*settings, ("linear", 1), ("linear", 4)]:
         found["omega-k", f"{interpolation}, zp {padding}"] = partial(
@@ -250,8 +250,8 @@ def compare(
 
     late: set[tuple[str, str]] = set()
     for number, (key, call) in enumerate(calls.items()):
-        if (less := (_CONTAINS.get(key[0], ""), key[1])) in late:
-            left_out[", ".join(key)] = f"longer than {limit:g} s, as {less[0]}, which it contains, is"
+        if (less := (_DEARER.get(key[0], ""), key[1])) in late:
+            left_out[", ".join(key)] = f"not tried: {less[0]}, which takes less, is longer than {limit:g} s"
             continue
         try:
             with warnings.catch_warnings(record=True) as caught:
@@ -402,14 +402,15 @@ def front(rows: Sequence[Row]) -> list[int]:
 
 
 def table(comparison: Comparison) -> str:
-    """Markdown: a line a row, the front marked; below it what was left out or warned of, with the reasons.
+    """Markdown: the exact sum's response, a line a row, the front marked, and what was left out or warned of, with reasons.
 
     A column that no row fills is left out; "pixels" is filled where an image has another shape than the first.
     """
     best = set(front(comparison.rows))
     lines = [_cells(row, number in best, comparison.shape) for number, row in enumerate(comparison.rows)]
     kept = [name for name in lines[0] if any(cells[name] for cells in lines)]
-    text = [f"| {' | '.join(kept)} |\n|{'---|' * len(kept)}"]
+    text = [f"Exact sum: IRW {_pair(comparison.irw, '.2f', 100)} cm, PSLR {_pair(comparison.pslr, '.1f')} dB.\n"]
+    text += [f"| {' | '.join(kept)} |\n|{'---|' * len(kept)}"]
     text += [f"| {' | '.join(cells[name] for name in kept)} |" for cells in lines]
     for title, found in (("Left out", comparison.left_out), ("Warned of", comparison.warned)):
         if found:
@@ -426,12 +427,12 @@ def _cells(row: Row, best: bool, shape: tuple[int, ...]) -> dict[str, str]:
         "pixels": "" if row.shape == shape else " x ".join(map(str, row.shape)),
         "1e9 terms/s": f"{row.terms_per_second / 1e9:.3g}", "error": f"{row.error:.1e}" + ("*" if row.fitted else ""),
         "loss, dB": "" if row.loss is None else f"{round(row.loss, 2) + 0.0:.2f}",
-        "IRW, cm": pair(row.irw, ".2f", 100), "PSLR, dB": pair(row.pslr, ".1f"),
+        "IRW, cm": _pair(row.irw, ".2f", 100), "PSLR, dB": _pair(row.pslr, ".1f"),
         "MB": "" if row.memory is None else f"{row.memory:.0f}", "front": "front" if best else "",
     }  # fmt: skip
 
 
-def pair(values: Pair, form: str, scale: float = 1.0) -> str:
+def _pair(values: Pair, form: str, scale: float = 1.0) -> str:
     """Two numbers as text, "-" for one that is not known."""
     return " / ".join("-" if value is None else format(scale * value, form) for value in values)
 
