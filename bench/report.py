@@ -164,7 +164,7 @@ def main():
     text = document(found, about, host, result["seconds"], args.quick, RANDOM[args.quick], LIMIT[args.quick], measured())
     Path(args.docs, "error-vs-time.md").write_text(text, encoding="utf-8")
     drawn = comparison.figure({f"{name}, {about[name]}": scene for name, scene in found.items()})
-    drawn.savefig(Path(args.docs, "error-vs-time.jpg"), dpi=80, pil_kwargs={"quality": 75, "optimize": True})
+    drawn.savefig(Path(args.docs, "error-vs-time.jpg"), dpi=80, pil_kwargs={"quality": 60, "optimize": True})
 
 
 if __name__ == "__main__":

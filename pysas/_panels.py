@@ -47,10 +47,10 @@ def draw(ax: Any, rows: Sequence[Row], front: Sequence[int]) -> None:
 
 
 def name_settings(ax: Any, rows: Sequence[Row]) -> None:
-    """Settings beside the points of methods that have several, clear of each other and of the points where there is room."""
+    """Settings beside the points of methods that have several, where they meet the fewest labels, points and edges."""
     places = ax.transData.transform([(row.seconds, row.error) for row in rows])
     taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in places]
-    scale = ax.figure.dpi / 72
+    scale, frame = ax.figure.dpi / 72, ax.bbox
     for row, (x, y) in zip(rows, places, strict=True):
         if row.method.split(", ")[0] in _ENGINES or sum(other.method == row.method for other in rows) < 2:
             continue
@@ -58,6 +58,7 @@ def name_settings(ax: Any, rows: Sequence[Row]) -> None:
         spots = [(dx, dy) for dy in (-4, 6, -14, 16, -24, 26) for dx in (6, -6 - wide / scale)]
         boxes = [(x + dx * scale, y + dy * scale, x + dx * scale + wide, y + dy * scale + high) for dx, dy in spots]
         meets = [sum(a < right and b > left and c < top and d > low for a, c, b, d in taken) for left, low, right, top in boxes]
+        meets = [n + (box[0] < frame.x0 or box[2] > frame.x1) for n, box in zip(meets, boxes, strict=True)]
         chosen = int(np.argmin(meets))
         taken.append(boxes[chosen])
         line = (

@@ -152,7 +152,8 @@ def compare(arguments: argparse.Namespace, progress: Progress) -> int:
 _COMPARED = """\
 s: median of the whole call (least to most). error: relative L2 against the float64 sum, in the norm of tol, on the cuts through
 the strongest pixel and random pixels of each method's own grid; loss: of that pixel; IRW, PSLR: along x / y. *: after
-sqrt(range) and one fitted factor. pixels: where other than above. front: none here is both faster and closer.
+sqrt(range) and one fitted factor. pixels: where other than above. front: none here is both faster and closer. An engine above
+its tol: the data have energy outside their bandwidth or beyond fs/2.2, where nothing is promised.
 """
 
 
