@@ -34,8 +34,9 @@ Pair = tuple[float | None, float | None]
 TOLS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 _ENGINES: dict[str, Callable[..., Image]] = {"backproject": backproject, "ffbp": ffbp}
 _FITTED = ("range-Doppler", "chirp scaling")  # without the weight of the sum: a law of range and one factor are free
-# they begin as the other does and end with more work than it: not tried where it took too long
+# many times dearer than the other, in patches that a limit cannot stop midway: tried where it takes at most _CHEAP of the limit
 _DEARER = {f"fourier_image, {name}": "fourier_image, gridding" for name in ("frame", "ftcg")}
+_CHEAP = 0.1
 _REACH = 24  # pixels of a cut either side of the target
 _SLOW = 0.25  # of the limit: what takes longer is timed once
 
@@ -251,7 +252,7 @@ def compare(
     late: set[tuple[str, str]] = set()
     for number, (key, call) in enumerate(calls.items()):
         if (less := (_DEARER.get(key[0], ""), key[1])) in late:
-            left_out[", ".join(key)] = f"not tried: {less[0]}, which takes less, is longer than {limit:g} s"
+            left_out[", ".join(key)] = f"not tried: {less[0]}, many times cheaper, takes more than {_CHEAP * limit:g} s"
             continue
         try:
             with warnings.catch_warnings(record=True) as caught:
@@ -264,6 +265,8 @@ def compare(
         else:
             if caught:
                 warned[", ".join(key)] = "; ".join(dict.fromkeys(str(w.message) for w in caught))
+            if first > _CHEAP * limit:
+                late.add(key)
             found[key] = first, judge.judged(key[0], image)
             del image
         tell(number + 1)
