@@ -44,6 +44,7 @@ from bench.circular_scenes import (
     scene,
     track,
 )
+from bench.timing import timed
 from pysas import circular
 
 SHARES = (0.5, 0.8, 0.9, 0.95)
@@ -288,10 +289,12 @@ def speed():
             ("Wiener", lambda image=image: circular.wiener(image, GAUSS, STEP, 1.0, 10.0)),
             ("naive", lambda image=image: circular.naive(image, GAUSS, STEP, 0.1)),
         ):
-            rows.append((name, f"{n} x {n}, {kind.__name__}", f"{timed(call):.2f}", f"{memory(call) / image.nbytes:.1f}"))
+            _, seconds = timed(call, 3, np.median)
+            rows.append((name, f"{n} x {n}, {kind.__name__}", f"{seconds:.2f}", f"{memory(call) / image.nbytes:.1f}"))
     echoes, _, _, _ = off_centre(0.5, 10.0, 2000, WAVE, 2)
     grid = pysas.Grid.plane(np.linspace(3, 4, 32), np.linspace(3, 4, 32))
-    rows.append(("view weights", "1024 pixels, 2000 pings", f"{timed(lambda: circular.view_weights(echoes, grid)):.2f}", ""))
+    _, seconds = timed(lambda: circular.view_weights(echoes, grid), 3, np.median)
+    rows.append(("view weights", "1024 pixels, 2000 pings", f"{seconds:.2f}", ""))
     table(("call", "size", "seconds", "memory, images"), rows)
     weights_cost()
 
@@ -317,15 +320,6 @@ def weights_cost():
     head = ("method", "tol", "plain, s", "its sum", "even, s", "its sum", "ratio", "of sums", "error of weights")
     print("\nuniform-angle: 2048 pings at 20 m, 512 x 512 pixels of 2 cm, one thread")
     table(head, rows)
-
-
-def timed(call):
-    seconds = []
-    for _ in range(3):
-        clock = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - clock)
-    return sorted(seconds)[1]
 
 
 def memory(call):

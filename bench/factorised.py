@@ -11,12 +11,12 @@ its time is that of a strip of its lines, scaled.
 """
 
 import argparse
-import time
 from pathlib import Path
 
 import numpy as np
 
 import pysas
+from bench.timing import timed
 
 FS, FC, C, BAND = 40e3, 100e3, 1500.0, 30e3
 TOLS = (1e-2, 1e-3, 1e-4)
@@ -57,12 +57,6 @@ CASES = {
     "circular, 4096 pings, 1024 x 1024": (lambda: circle(4096, 1024), 1),
     "stripmap, 8192 pings, 4096 x 8192": (lambda: stripmap(8192, 4096, 8192), 32),
 }
-
-
-def timed(call):
-    clock = time.perf_counter()
-    image = call()
-    return image, time.perf_counter() - clock
 
 
 def strip_of(grid, share):

@@ -1,11 +1,11 @@
 """fourier_image against the exact sum and both engines, for `bench.gridding`: straight, perturbed and circular tracks."""
 
-import time
 from functools import partial
 
 import numpy as np
 
 import pysas
+from bench.timing import timed
 from pysas.reference import patches
 
 C, FC, FS, BAND = 1500.0, 100e3, 40e3, 30e3
@@ -67,17 +67,6 @@ def patch_errors(pixels=(4, 8, 16, 32, 64, 96)):
     return found
 
 
-def timed(call, repeats=3):
-    """The result and the least seconds after a first call, which compiles."""
-    call()
-    seconds = []
-    for _ in range(repeats):
-        clock = time.perf_counter()
-        result = call()
-        seconds.append(time.perf_counter() - clock)
-    return result, min(seconds)
-
-
 def stated_errors(threads, pixels=128):
     print(f"\n{pixels} x {pixels} pixels, complex128, {threads} threads: error against the exact sum, seconds\n")
     print("| track | method | asked | predicted | measured | patches x sectors | s |\n|---|---|---|---|---|---|---|")
@@ -86,7 +75,7 @@ def stated_errors(threads, pixels=128):
         exact, level = pysas.reference.exact(echoes, grid)
 
         def row(label, asked, call, *, name=name, exact=exact, level=level, repeats=3):
-            image, seconds = timed(call, repeats)
+            image, seconds = timed(call, repeats, warm=True)
             error = pysas.metrics.relative_error(image.data, exact, level)
             choices, predicted = image.report.choices, image.report.predicted_error
             parts = f"{choices['patches']} x {choices['sectors']}" if "patches" in choices else ""
@@ -123,7 +112,7 @@ def inversions(threads):
     print("|---|---|---|---|---|---|---|")
     for method in ("nufft", "gridding", "ftcg", "frame"):
         call = partial(pysas.reference.fourier_image, echoes, grid, method, error=0.1, threads=threads)
-        image, seconds = timed(call, 1)
+        image, seconds = timed(call, warm=True)
         peaks, off = [], 0.0
         for point, peak in zip(points, wanted, strict=True):
             place = pysas.metrics.peak_position(image, point[:2], 0.04)

@@ -9,12 +9,12 @@ The scene of the tables is the experiment of a wave of c/(2 fc) = 10 cm: a point
 
 import argparse
 import os
-import time
 import warnings
 
 import numpy as np
 
 import pysas
+from bench.timing import timed
 from pysas.reference import one_way
 
 C = 1500.0
@@ -48,12 +48,6 @@ def record(u, g, points, fc, band, fs, near, samples, beam, amplitudes=None, lat
 
 def smooth(width):
     return lambda sine: np.where(np.abs(sine) < width, np.cos(np.pi / 2 * sine / width) ** 2, 0.0)
-
-
-def timed(call):
-    clock = time.perf_counter()
-    made = call()
-    return made, time.perf_counter() - clock
 
 
 def modes(k, sine, depth, **options):

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 import pysas
-from bench.one_way import C, even, record, smooth, timed
+from bench.one_way import C, even, record, smooth
+from bench.timing import timed
 from pysas.reference import enhance, map_to_line, omega_k, one_way
 
 NEAR, FAR, LENGTH = 12.0, 20.0, 30.0  # of the re-staged scene, m

@@ -12,13 +12,13 @@ images grow as sqrt(r), the sum over pings as r), relative to omega-k with sinc 
 """
 
 import argparse
-import time
 import tracemalloc
 from functools import partial
 
 import numpy as np
 
 import pysas
+from bench.timing import timed
 
 C, FC, BAND, FS, DURATION, LENGTH, R0 = 1500.0, 30e3, 20e3, 30e3, 10e-3, 0.22, 100.0
 STEP, SPACING = LENGTH / 4, C / (2 * FS)
@@ -193,17 +193,6 @@ def figure(path, found, threads):
     plot.savefig(path, dpi=90)
 
 
-def timed(call, repeats=3):
-    """The result and the median of seconds after a first call, which compiles."""
-    call()
-    seconds = []
-    for _ in range(repeats):
-        clock = time.perf_counter()
-        result = call()
-        seconds.append(time.perf_counter() - clock)
-    return result, float(np.median(seconds))
-
-
 def error_on_targets(image, echoes, fitted):
     """Relative L2 error on random pixels about the targets; `fitted`: after the sqrt(range) law and one factor."""
     x, y = image.grid.axes["x"], image.grid.axes["y"]
@@ -235,12 +224,12 @@ def speed(threads):
     print(f"\n{raw.n_ping} pings x {raw.n_sample} samples, complex64, {threads} threads")
     print("\n| algorithm | pixels | seconds | error | factor fitted |\n|---|---|---|---|---|")
     for name, (call, fitted) in chosen.items():
-        image, seconds = timed(call)
+        image, seconds = timed(call, 3, np.median, warm=True)
         error = error_on_targets(image, echoes, fitted)
         shape = " x ".join(map(str, image.data.shape))
         print(f"| {name} | {shape} | {seconds:.2f} | {error:.1e} | {'yes' if fitted else 'no'} |", flush=True)
     points = pysas.Grid.plane(STEP * np.arange(-5, 6), R0 + SPACING * np.arange(-5, 6))
-    image, seconds = timed(lambda: pysas.reference.correlation(raw, points), 1)
+    image, seconds = timed(lambda: pysas.reference.correlation(raw, points), warm=True)
     exact, level = pysas.reference.exact(echoes, points)
     error = pysas.metrics.relative_error(image.data, exact, level)
     print(f"| correlation (slow oracle) | 11 x 11 | {seconds:.2f} | {error:.1e} | no |")
@@ -295,7 +284,7 @@ def square(threads, n=2048):
     print("\n| interpolation | seconds | peak memory / data |\n|---|---|---|")
     for interpolation in ("sinc", "linear"):
         call = partial(pysas.reference.omega_k, echoes, interpolation=interpolation, threads=threads)
-        _, seconds = timed(call)
+        _, seconds = timed(call, 3, np.median, warm=True)
         tracemalloc.start()
         call()
         peak = tracemalloc.get_traced_memory()[1] / data.nbytes
