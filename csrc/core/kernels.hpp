@@ -77,7 +77,7 @@ template <typename Real>
 struct Weights {
     const Real* value;
     std::int64_t n_trace;
-    int lines, columns;
+    int lines;
     alignas(64) Real factor[weight_nodes][tile_rows];
 };
 

@@ -46,7 +46,6 @@ const Weights<Real>* TileWeights<Real>::read(const Terms<Real>& terms, const dou
     const std::int64_t n = terms.n_trace;
     weights_.n_trace = n;
     weights_.lines = lines;
-    weights_.columns = columns;
     value_.resize(static_cast<std::size_t>(lines * columns * n));
     weights_.value = value_.data();
     for (int p = 0; p < lines * columns; ++p) {
