@@ -241,7 +241,8 @@ ROWS = (
         "float64",
         float64,
         "float64 in the inner loop",
-        "`tol` 9.8e-6 instead of 1e-5, complex128: the first that needs float64; complex64 data never do.",
+        "`tol` 9.8e-6 instead of 1e-5 with complex128 data: the first that float64 sums. From 1e-5 on these are summed in "
+        "float32 too, as complex64 data always are.",
         BP,
     ),
     Row(
