@@ -174,8 +174,7 @@ struct Vectors {
 };
 
 // Add one trace's terms of some vectors of a tile's lines, or (`Whole`: a sixth faster) of all of those lines that have
-// any. `x`: places of a block's pixels in [-1, 1]; `level`: their
-// weights, or null.
+// any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null.
 template <bool Whole, class V, int N, int D, int T, int W>
 void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
                const Levels<V>* level, const Phase<V, T> phase, const typename V::real* x, const Vectors* vectors) {
@@ -305,25 +304,6 @@ std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t numbe
         add_turned<V>(re, im, sine, cosine, tile.re + r * block + m, tile.im + r * block + m);
     }
     return static_cast<std::int64_t>(W::total(counted));
-}
-
-// Centre and radius of a sphere that holds `count` points.
-inline double sphere(const double* points, int count, double centre[3]) {
-    for (int axis = 0; axis < 3; ++axis) {
-        double low = points[axis], high = low;
-        for (int i = 1; i < count; ++i) {
-            const double p = points[3 * i + axis];
-            low = p < low ? p : low;
-            high = p > high ? p : high;
-        }
-        centre[axis] = (low + high) / 2;
-    }
-    double most = 0;
-    for (int i = 0; i < count; ++i) {
-        const double d = norm(points[3 * i] - centre[0], points[3 * i + 1] - centre[1], points[3 * i + 2] - centre[2]);
-        most = d > most ? d : most;
-    }
-    return most * (1 + 1e-12);
 }
 
 template <class V, int N, int D, int T, Kind K>

@@ -27,6 +27,25 @@ enum class Reach { outside, inside, across };
 
 inline double norm(double x, double y, double z) { return ::sqrt(x * x + y * y + z * z); }
 
+// Centre and radius of a sphere that holds `count` points.
+inline double sphere(const double* points, int count, double centre[3]) {
+    for (int axis = 0; axis < 3; ++axis) {
+        double low = points[axis], high = low;
+        for (int i = 1; i < count; ++i) {
+            const double p = points[3 * i + axis];
+            low = p < low ? p : low;
+            high = p > high ? p : high;
+        }
+        centre[axis] = (low + high) / 2;
+    }
+    double most = 0;
+    for (int i = 0; i < count; ++i) {
+        const double d = norm(points[3 * i] - centre[0], points[3 * i + 1] - centre[1], points[3 * i + 2] - centre[2]);
+        most = d > most ? d : most;
+    }
+    return most * (1 + 1e-12);
+}
+
 // Whether a sphere about `centre` lies outside, inside or across the beam's cone; `there`: the centre's distance. The
 // cone or, beyond a right angle, what it leaves out is convex, so that distances to its surface are those to a plane at
 // least.
