@@ -79,8 +79,8 @@ def image(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None) -> tuple[Image, dict[str, Any], Echoes]:
     """Load, compress if raw, image, save, draw; the one path of `demo` and `image`."""
-    if arguments.png is not None and not _matplotlib():
-        raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+    if arguments.png is not None:
+        _require_matplotlib()
     _require_places(arguments.output, arguments.png)
     echoes = _echoes(arguments.raw)
     how = "given grid"
@@ -157,10 +157,14 @@ its tol: the data have energy outside their bandwidth or beyond fs/2.2, where no
 """
 
 
-def _picture(path: str) -> str:
-    """Format of a picture by its suffix."""
+def _require_matplotlib() -> None:
     if not _matplotlib():
         raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+
+
+def _picture(path: str) -> str:
+    """Format of a picture by its suffix."""
+    _require_matplotlib()
     from matplotlib.figure import Figure
 
     found = Path(path).suffix.lstrip(".").lower() or "png"
