@@ -8,6 +8,10 @@
 #include "kernels/delay.inl"
 #include "kernels/interpolation.inl"
 #include "kernels/phase.inl"
+#include "kernels/weights.inl"
+
+// after those four
+#include "kernels/exact.inl"
 
 template <typename Real>
 constexpr Real magic() {  // adding and subtracting it rounds to the nearest integer, which stands in the low bits
@@ -88,99 +92,28 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     return D::largest(span);
 }
 
-// Add (re + j im)(cosine + j sine) to a vector of pixels.
-template <class V>
-void add_turned(typename V::vec re, typename V::vec im, typename V::vec sine, typename V::vec cosine,
-                typename V::real* to_re, typename V::real* to_im) {
-    V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
-    V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
-}
-
-// Weights of one trace's terms along a tile's lines, by vector of pixels as polynomials of the lane's place in [-1, 1].
-template <class V>
-struct Levels {
-    static constexpr int subs = block / V::n;
-    alignas(64) typename V::real power[subs][3][tile_rows];
-};
-
-// Places of a vector's lanes in [-1, 1].
-template <class V>
-typename V::vec lanes() {
-    alignas(64) typename V::real place[V::n];
-    for (int i = 0; i < V::n; ++i) place[i] = static_cast<typename V::real>(2.0 * i / (V::n - 1) - 1);
-    return V::load(place);
-}
-
-template <class V>
-void levels(const Weights<typename V::real>& weights, std::int64_t trace, int rows, int count, Levels<V>& out) {
-    using real = typename V::real;
-    using vec = typename V::vec;
-    const real* value = weights.value + trace;
-    const std::int64_t n = weights.n_trace;
-    alignas(64) real at[weight_nodes][tile_rows];
-    if (weights.lines == weight_nodes) {
-        for (int j = 0; j < weight_nodes; ++j) {
-            for (int r = 0; r < rows; r += V::n) {
-                vec sum = V::set(0);
-                for (int k = 0; k < weight_nodes; ++k)
-                    sum = V::fma(V::load(weights.factor[k] + r), V::set(value[(weight_nodes * k + j) * n]), sum);
-                V::store(at[j] + r, sum);
-            }
-        }
-    } else {
-        for (int r = 0; r < tile_rows; ++r) {
-            for (int j = 0; j < weight_nodes; ++j) at[j][r] = r < rows ? value[(weight_nodes * r + j) * n] : 0;
-        }
-    }
-    const vec half = V::set(real(0.5)), third = V::set(real(4.0 / 3));
-    for (int r = 0; r < rows; r += V::n) {
-        const vec middle = V::load(at[2] + r);
-        const vec even1 = V::fma(half, V::add(V::load(at[1] + r), V::load(at[3] + r)), V::sub(V::set(0), middle));
-        const vec even2 = V::fma(half, V::add(V::load(at[0] + r), V::load(at[4] + r)), V::sub(V::set(0), middle));
-        const vec odd1 = V::mul(half, V::sub(V::load(at[3] + r), V::load(at[1] + r)));
-        const vec odd2 = V::mul(half, V::sub(V::load(at[4] + r), V::load(at[0] + r)));
-        const vec p4 = V::mul(third, V::fnma(V::set(4), even1, even2));
-        const vec p3 = V::mul(third, V::fnma(V::set(2), odd1, odd2));
-        const vec p[weight_nodes] = {middle, V::sub(odd2, p3), V::sub(even2, p4), p3, p4};
-        const double length = (count > least_width ? count : least_width) - 1;
-        const real wide = static_cast<real>((V::n - 1) / length);
-        for (int s = 0; s * V::n < count; ++s) {
-            // value, slope and curve in a vector's middle, by dividing by what leads to it again and again
-            const vec at = V::set(static_cast<real>((2 * s * V::n + V::n - 1) / length - 1));
-            vec q[weight_nodes];
-            for (int i = 0; i < weight_nodes; ++i) q[i] = p[i];
-            for (int k = 0; k < 3; ++k) {
-                for (int i = weight_nodes - 2; i >= k; --i) q[i] = V::fma(q[i + 1], at, q[i]);
-            }
-            V::store(out.power[s][0] + r, q[0]);
-            V::store(out.power[s][1] + r, V::mul(V::set(wide), q[1]));
-            V::store(out.power[s][2] + r, V::mul(V::set(wide * wide), q[2]));
-        }
+template <class V, int N>
+double polynomials(const Terms<typename V::real>& job, const Trace& trace, const Places<V, N>& at, int rows,
+                   Polynomials<V, N>& out) {
+    switch (job.kind) {
+        case Kind::monostatic:
+            return polynomials<V, N, Kind::monostatic>(job, trace, at, rows, out);
+        case Kind::stop_and_hop:
+            return polynomials<V, N, Kind::stop_and_hop>(job, trace, at, rows, out);
+        default:
+            return polynomials<V, N, Kind::moving>(job, trace, at, rows, out);
     }
 }
-
-// Multiply by what vector `s` of a line weighs.
-template <class V>
-void weigh(const Levels<V>& level, int s, int r, typename V::vec lane, typename V::vec& sine, typename V::vec& cosine) {
-    const auto& power = level.power[s];
-    const auto w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
-    sine = V::mul(sine, w);
-    cosine = V::mul(cosine, w);
-}
-
-// Vectors of a line's pixels.
-struct Vectors {
-    int begin, end;
-};
 
 // Add one trace's terms of some vectors of a tile's lines, or (`Whole`: a sixth faster) of all of those lines that have
 // any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null.
 template <bool Whole, class V, int N, int D, int T, int W>
 void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
-               const Levels<V>* level, const Phase<V, T> phase, const typename V::real* x, const Vectors* vectors) {
+               const Levels<V>* level, const typename V::real* x, const Vectors* vectors) {
     using real = typename V::real;
     using vec = typename V::vec;
     const Terms<real>& job = *tile.terms;
+    const Phase<V, T> phase(job.sine, job.cosine);
     // copies: behind a pointer they would be read again after every store
     const std::int64_t stride = job.plane_stride;
     const int rows = tile.rows;
@@ -222,97 +155,59 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     }
 }
 
-// Add trace number `number`'s terms of vectors of line `r` from each pixel's own delay; terms outside the record or the
-// beam weigh nothing.
-template <class V, int D, int T, Kind K>
-std::int64_t add_exact(const TileJob<typename V::real>& tile, std::int64_t number, const typename V::real* table,
-                       const Levels<V>* level, const Phase<V, T>& phase, int r, Vectors vectors) {
+// The parts of a sum that polynomials' lengths are compiled into: lines of which some vectors are summed, their windows
+// gathered or one register wide, whole lines (gathered, one, two or four), and pixels with their own delay.
+template <class V, int N>
+struct Adders {
     using real = typename V::real;
-    using W = Double;
-    const Terms<real>& job = *tile.terms;
-    const Model& model = job.model;
-    const Trace& trace = job.traces[number];
-    alignas(64) double x[3][block];
-    const int begin = vectors.begin * V::n, padded = vectors.end * V::n;  // by the last pixel
-    const int end = padded < tile.count ? padded : tile.count;
-    for (int m = begin; m < padded; ++m) {
-        const int pixel = m < tile.count ? m : tile.count - 1;
-        for (int axis = 0; axis < 3; ++axis) {
-            x[axis][m] = tile.lines ? tile.lines[6 * r + axis] + pixel * tile.lines[6 * r + 3 + axis]
-                                    : tile.points[3 * (r * tile.count + pixel) + axis];
-        }
-    }
-    alignas(64) real position[block], turns[block], weight[block];
-    alignas(64) std::int32_t interval[block];
-    W::vec counted = W::set(0.0);
-    const W::vec half = W::set(0.5);
-    for (int m = begin; m < padded; m += W::n) {
-        const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
-        const W::vec tau = delay<K>(trace, model.c, px, py, pz);
-        const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
-        W::vec counts = W::mul(W::one_where_le(W::set(0.0), index), W::one_where_le(index, W::set(model.last)));
-        if (model.cos_beam > -1.0) {
-            const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])),
-                         dz = W::sub(pz, W::set(trace.tx[2]));
-            const W::vec distance = W::sqrt(W::fma(dx, dx, W::fma(dy, dy, W::mul(dz, dz))));
-            const W::vec along = W::fma(dx, W::set(trace.boresight[0]),
-                                        W::fma(dy, W::set(trace.boresight[1]), W::mul(dz, W::set(trace.boresight[2]))));
-            counts = W::mul(counts, W::one_where_le(W::mul(W::set(model.cos_beam), distance), along));
-        }
-        // where a term does not count the index becomes the first kept sample's, which is in the table
-        const W::vec u = W::mul(W::mul(counts, W::sub(index, W::set(trace.crop))), W::set(model.rate));
-        const W::vec low = W::floor(u);
-        W::store(position + m, W::sub(W::sub(u, low), half));
-        W::store_index(interval + m, low);
-        const W::vec cycles = W::mul(W::set(model.fc), tau);
-        W::store(turns + m, W::sub(cycles, W::floor(W::add(cycles, half))));
-        W::store(weight + m, counts);
-        if (m + W::n <= tile.count) {
-            counted = W::add(counted, counts);
-        } else {
-            alignas(64) double each[W::n];
-            W::store(each, counts);
-            for (int i = 0; i < W::n; ++i) each[i] = m + i < tile.count ? each[i] : 0.0;
-            counted = W::add(counted, W::load(each));
-        }
-    }
-    if (level) {
-        for (int m = begin; m < end; ++m) {
-            const auto& power = level->power[m / V::n];
-            const double lane = 2.0 * (m % V::n) / (V::n - 1) - 1;
-            weight[m] *= power[0][r] + lane * (power[1][r] + lane * power[2][r]);
-        }
-    } else if (tile.weights) {
-        const real* own =
-            tile.weights->value + static_cast<std::int64_t>(r) * tile.count * tile.weights->n_trace + number;
-        for (int m = begin; m < end; ++m) weight[m] *= own[m * tile.weights->n_trace];
-    }
-    for (int m = begin; m < end; m += V::n) {
-        typename V::vec sine, cosine, re, im;
-        phase(V::load(turns + m), sine, cosine);
-        std::int32_t first = interval[m], last = first;
-        for (int i = 1; i < V::n; ++i) {
-            first = interval[m + i] < first ? interval[m + i] : first;
-            last = interval[m + i] > last ? interval[m + i] : last;
-        }
-        for (int i = 0; i < V::n; ++i) interval[m + i] -= first;
-        read_within<V, D>(table + first, job.plane_stride, last - first, V::load_index(interval + m),
-                          V::load(position + m), re, im);
-        const auto w = V::load(weight + m);
-        re = V::mul(re, w);
-        im = V::mul(im, w);
-        add_turned<V>(re, im, sine, cosine, tile.re + r * block + m, tile.im + r * block + m);
-    }
-    return static_cast<std::int64_t>(W::total(counted));
+    using Lines = void (*)(const TileJob<real>&, const real*, const Polynomials<V, N>&, const Levels<V>*, const real*,
+                           const Vectors*);
+    Lines part[2], whole[4];
+    void (*exact)(const TileJob<real>&, const real*, Exact<V>&, int, Vectors);
+};
+
+template <class V, int N, int D, int T>
+Adders<V, N> adders() {
+    constexpr int one = V::windows >= 1 ? 1 : 0, two = V::windows >= 2 ? 2 : 0, four = V::windows >= 4 ? 4 : 0;
+    return {{&add_lines<false, V, N, D, T, 0>, &add_lines<false, V, N, D, T, one>},
+            {&add_lines<true, V, N, D, T, 0>, &add_lines<true, V, N, D, T, one>, &add_lines<true, V, N, D, T, two>,
+             &add_lines<true, V, N, D, T, four>},
+            &add_exact<V, D, T>};
 }
 
-template <class V, int N, int D, int T, Kind K>
-void sum_traces(TileJob<typename V::real>& tile) {
+template <class V, int N, int D, int Few, int Many>
+Adders<V, N> adders(int trig) {
+    return trig <= Few ? adders<V, N, D, Few>() : adders<V, N, D, Many>();
+}
+
+// Vectors of a line that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
+// those that its polynomial serves (`simple`: if any), while `exact` is given each run of the others.
+template <class V, class Exactly>
+Vectors split(const Trace& trace, const Model& model, const Segments& lines, int r, int count, Reach lit, bool simple,
+              const Exactly& exactly) {
+    Vectors kept = {0, 0}, exact = {0, 0};
+    for (int s = 0; s * V::n < count; ++s) {
+        const Reach part = lit == Reach::inside
+                               ? lit
+                               : beam(trace, model, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
+        if (part == Reach::outside) continue;
+        const bool served = simple && part == Reach::inside && (kept.end == 0 || kept.end == s);
+        Vectors& run = served ? kept : exact;
+        if (!served && run.end > 0 && run.end < s) exactly(run);
+        if (run.end < s || run.end == 0) run.begin = s;
+        run.end = s + 1;
+    }
+    if (exact.end > 0) exactly(exact);
+    return kept;
+}
+
+template <class V, int N>
+void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     using real = typename V::real;
     const Terms<real>& job = *tile.terms;
     const int rows = tile.rows, count = tile.count;
     const bool straight = tile.lines != nullptr;
-    const Phase<V, T> phase(job.sine, job.cosine);
+    const bool monostatic = job.kind == Kind::monostatic;
 
     alignas(64) real x[block];
     for (int m = 0; m < block; ++m)
@@ -351,6 +246,11 @@ void sum_traces(TileJob<typename V::real>& tile) {
     Vectors vectors[tile_rows];
     Levels<V> scratch;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
+    Exact<V> places;
+    const auto exactly = [&](std::int64_t number, int r, Vectors some) {
+        evaluated += locate<V>(tile, number, level, r, some, places);
+        add.exact(tile, job.table + number * job.trace_stride, places, r, some);
+    };
     int active = 0;
     for (int r = 0; r < rows; ++r) active += tile.active[r] != 0;
     for (std::int64_t i = 0; i < job.n_trace; ++i) {
@@ -361,7 +261,7 @@ void sum_traces(TileJob<typename V::real>& tile) {
         if (where == Reach::outside) continue;
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
-                if (tile.active[r]) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, {0, at.used});
+                if (tile.active[r]) exactly(i, r, {0, at.used});
             }
             continue;
         }
@@ -371,8 +271,8 @@ void sum_traces(TileJob<typename V::real>& tile) {
         if (where == Reach::across || nearest < job.model.near) {
             alignas(64) double least[2][tile_rows], most[2][tile_rows];
             distances(trace.tx, segments, rows, least[0], most[0]);
-            if (K != Kind::monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
-            const int home = K == Kind::monostatic ? 0 : 1;
+            if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
+            const int home = monostatic ? 0 : 1;
             const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
             bool any = false;
             for (int r = 0; r < rows; ++r) {
@@ -382,25 +282,10 @@ void sum_traces(TileJob<typename V::real>& tile) {
                 const Reach lit = beam(trace, job.model, segments, r, (count - 1) / 2.0, (count - 1) / 2.0, count);
                 const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
                 if (heard != Reach::inside || lit != Reach::inside || !far) {
-                    const bool simple = heard == Reach::inside && far;
                     vectors[r] = {0, 0};
                     if (heard == Reach::outside || lit == Reach::outside) continue;
-                    Vectors exact = {0, 0};
-                    for (int s = 0; s < at.used; ++s) {
-                        const Reach part = lit == Reach::inside
-                                               ? lit
-                                               : beam(trace, job.model, segments, r, s * V::n + (V::n - 1) / 2.0,
-                                                      (V::n - 1) / 2.0, count);
-                        if (part == Reach::outside) continue;
-                        Vectors& run = simple && part == Reach::inside && (vectors[r].end == 0 || vectors[r].end == s)
-                                           ? vectors[r]
-                                           : exact;
-                        if (&run == &exact && run.end > 0 && run.end < s)
-                            evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, run);
-                        if (run.end < s || run.end == 0) run.begin = s;
-                        run.end = s + 1;
-                    }
-                    if (exact.end > 0) evaluated += add_exact<V, D, T, K>(tile, i, table, level, phase, r, exact);
+                    vectors[r] = split<V>(trace, job.model, segments, r, count, lit, heard == Reach::inside && far,
+                                          [&](Vectors some) { exactly(i, r, some); });
                 }
                 if (vectors[r].end == 0) continue;
                 const int last = vectors[r].end * V::n;
@@ -412,72 +297,30 @@ void sum_traces(TileJob<typename V::real>& tile) {
         } else {
             evaluated += static_cast<std::int64_t>(active) * count;
         }
-        const double span = polynomials<V, N, K>(job, trace, at, rows, poly);
-        constexpr int one = V::windows >= 1 ? 1 : 0, two = V::windows >= 2 ? 2 : 0, four = V::windows >= 4 ? 4 : 0;
-        if (!whole && one == 1 && span < V::n - 0.5)
-            add_lines<false, V, N, D, T, one>(tile, table, poly, level, phase, x, vectors);
-        else if (!whole)
-            add_lines<false, V, N, D, T, 0>(tile, table, poly, level, phase, x, vectors);
-        else if (one == 1 && span < V::n - 0.5)
-            add_lines<true, V, N, D, T, one>(tile, table, poly, level, phase, x, vectors);
-        else if (two == 2 && span < 2 * V::n - 0.5)
-            add_lines<true, V, N, D, T, two>(tile, table, poly, level, phase, x, vectors);
-        else if (four == 4 && span < 4 * V::n - 0.5)
-            add_lines<true, V, N, D, T, four>(tile, table, poly, level, phase, x, vectors);
-        else
-            add_lines<true, V, N, D, T, 0>(tile, table, poly, level, phase, x, vectors);
+        const double span = polynomials<V, N>(job, trace, at, rows, poly);
+        // how many registers hold what a vector of pixels reads, if any number does
+        const int wide = span < V::n - 0.5 ? 1 : span < 2 * V::n - 0.5 ? 2 : span < 4 * V::n - 0.5 ? 3 : 0;
+        const auto lines = whole ? add.whole[wide] : add.part[wide == 1];
+        lines(tile, table, poly, level, x, vectors);
     }
     tile.evaluated = evaluated;
-}
-
-template <class V, int N, int D, int T>
-void sum_kind(TileJob<typename V::real>& tile) {
-    switch (tile.terms->kind) {
-        case Kind::monostatic:
-            return sum_traces<V, N, D, T, Kind::monostatic>(tile);
-        case Kind::stop_and_hop:
-            return sum_traces<V, N, D, T, Kind::stop_and_hop>(tile);
-        case Kind::moving:
-            return sum_traces<V, N, D, T, Kind::moving>(tile);
-    }
-}
-
-template <class V, int N, int D, int Few, int Many>
-void sum_trig(TileJob<typename V::real>& tile) {
-    if (tile.terms->trig <= Few)
-        sum_kind<V, N, D, Few>(tile);
-    else
-        sum_kind<V, N, D, Many>(tile);
 }
 
 // Polynomial lengths by type: few enough to compile, dense enough to lose little.
 template <class V>
 void sum_tile(TileJob<typename V::real>& tile) {
+    const int degree = tile.terms->degree, trig = tile.terms->trig;
     if constexpr (sizeof(typename V::real) == 4) {
-        switch (tile.terms->degree) {
-            case 1:
-                return sum_trig<V, 5, 1, 5, 6>(tile);
-            case 2:
-                return sum_trig<V, 5, 2, 5, 6>(tile);
-            case 3:
-                return sum_trig<V, 5, 3, 5, 6>(tile);
-            case 4:
-                return sum_trig<V, 5, 4, 5, 6>(tile);
-            case 5:
-                return sum_trig<V, 5, 5, 5, 6>(tile);
-            default:
-                return sum_trig<V, 5, 7, 5, 6>(tile);
-        }
+        sum_traces<V, 5>(tile, degree == 1   ? adders<V, 5, 1, 5, 6>(trig)
+                               : degree == 2 ? adders<V, 5, 2, 5, 6>(trig)
+                               : degree == 3 ? adders<V, 5, 3, 5, 6>(trig)
+                               : degree == 4 ? adders<V, 5, 4, 5, 6>(trig)
+                               : degree == 5 ? adders<V, 5, 5, 5, 6>(trig)
+                                             : adders<V, 5, 7, 5, 6>(trig));
     } else {
-        switch (tile.terms->degree) {
-            case 3:
-                return sum_trig<V, 7, 3, 8, 10>(tile);
-            case 5:
-                return sum_trig<V, 7, 5, 8, 10>(tile);
-            case 7:
-                return sum_trig<V, 7, 7, 8, 10>(tile);
-            default:
-                return sum_trig<V, 7, 9, 8, 10>(tile);
-        }
+        sum_traces<V, 7>(tile, degree == 3   ? adders<V, 7, 3, 8, 10>(trig)
+                               : degree == 5 ? adders<V, 7, 5, 8, 10>(trig)
+                               : degree == 7 ? adders<V, 7, 7, 8, 10>(trig)
+                                             : adders<V, 7, 9, 8, 10>(trig));
     }
 }

@@ -1,4 +1,4 @@
-// Sine and cosine of a phase in turns within [-1/2, 1/2]: two short polynomials in turns^2.
+// Sine and cosine of a phase in turns within [-1/2, 1/2], two short polynomials in turns^2, and what they turn.
 
 template <class V, int T>
 struct Phase {
@@ -19,3 +19,11 @@ struct Phase {
         c = b;
     }
 };
+
+// Add (re + j im)(cosine + j sine) to a vector of pixels.
+template <class V>
+void add_turned(typename V::vec re, typename V::vec im, typename V::vec sine, typename V::vec cosine,
+                typename V::real* to_re, typename V::real* to_im) {
+    V::store(to_re, V::fnma(im, sine, V::fma(re, cosine, V::load(to_re))));
+    V::store(to_im, V::fma(im, cosine, V::fma(re, sine, V::load(to_im))));
+}
