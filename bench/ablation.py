@@ -4,17 +4,15 @@ Each row images one scene twice: as it is, and written so that the planner canno
 interleaved runs after a warm-up.
 """
 
-import argparse
-import platform
 import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 import pysas
+from bench.document import machine, parser, write
 from bench.scenes import random_stripmap
 
 C, FS, BAND = 1500.0, 40e3, 30e3
@@ -314,15 +312,8 @@ def line(found):
     return f"| {' | '.join(cells)} |"
 
 
-def machine():
-    config = pysas.show_config("dict")
-    return f"{config['processor']} ({platform.machine()}), {config['isa']}, pysas {config['pysas']}, Python {config['python']}"
-
-
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", metavar="FILE", help="write the document there instead of printing it")
-    args = parser.parse_args()
+    args = parser(__doc__).parse_args()
     lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)]
     built = pysas.show_config("dict")["extension"] != "not built"
     for row in ROWS:
@@ -333,10 +324,7 @@ def main():
             lines.append(line(measure(row, method, "numba", 32, 5)))
     how = "\n".join(f"- {row.name}: {row.how}" for row in ROWS)
     text = HEAD + "\n".join(lines) + f"\n\nMachine: {machine()}.\n\nHow each is switched off:\n\n{how}\n"
-    if args.write:
-        Path(args.write).write_text(text, encoding="utf-8")
-    else:
-        print(text, end="")
+    write(text, args.write)
 
 
 if __name__ == "__main__":

@@ -3,14 +3,13 @@
 Errors are against `pysas.reference.exact` on sampled pixels of random band-limited echoes, relative to the promise's norm.
 """
 
-import argparse
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 
 import pysas
+from bench.document import parser, write
 from pysas import circular
 
 C, FS, BAND = 1500.0, 40e3, 30e3
@@ -337,15 +336,9 @@ ROWS = (
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", metavar="FILE", help="write the document there instead of printing it")
-    args = parser.parse_args()
+    args = parser(__doc__).parse_args()
     lines = [f"| {case} | {' | '.join(measure())} | {', '.join(tests)} |" for case, measure, tests in ROWS]
-    text = HEAD + "\n".join(lines) + "\n"
-    if args.write:
-        Path(args.write).write_text(text, encoding="utf-8")
-    else:
-        print(text, end="")
+    write(HEAD + "\n".join(lines) + "\n", args.write)
 
 
 if __name__ == "__main__":
