@@ -1,7 +1,7 @@
 """Every method on every scene, its error beside its run time: `python -m bench.report` writes docs/error-vs-time.md.
 
     python -m bench.report            six scenes, seven with measured data; within 40 minutes on two cores
-    python -m bench.report --quick    the same scenes, small, and fewer settings; within 5 minutes
+    python -m bench.report --quick    the same scenes, small, and fewer settings; in 2 minutes
 
 What runs and how it is judged is `pysas.comparison`'s; the scenes are `bench.report_scenes`'. The seventh is the public Gotcha
 data, where the environment variable PYSAS_DATA names the folder that holds them.
@@ -28,7 +28,8 @@ from bench.report_scenes import C, measured, scenes, tiny
 from bench.report_text import document
 from pysas import comparison
 
-RANDOM, LIMIT = {True: 200, False: 400}, {True: 6.0, False: 40.0}  # pixels and s, by whether the run is quick
+# pixels, s and runs, by whether the run is quick
+RANDOM, LIMIT, ROUNDS = {True: 200, False: 400}, {True: 3.0, False: 30.0}, {True: 2, False: 3}
 ENGINES = {"backproject": pysas.backproject, "ffbp": pysas.ffbp}
 
 
@@ -106,18 +107,19 @@ def memory(call):
     return float(text) if text else None
 
 
-def measure(scene, threads, quick, rounds, limit):
-    """A scene's comparison, with the memory of what is not slow."""
+def measure(scene, threads, quick):
+    """A scene's comparison, with the memory of what is not slow, but for quick runs."""
+    limit = LIMIT[quick]
     calls = methods(scene, threads, quick)
     for (method, _), call in calls.items():
         if "numba" in method:  # the tiny scenes may not have compiled all that this one needs
             call()
     found = comparison.compare(
-        scene.echoes, calls, target=scene.target, half=scene.half, count=RANDOM[quick], rounds=rounds, limit=limit
+        scene.echoes, calls, target=scene.target, half=scene.half, count=RANDOM[quick], rounds=ROUNDS[quick], limit=limit
     )
     # libgomp, which the plain loop runs on, does not survive a fork
     rows = [
-        row if row.method == "plain loop" or row.seconds > limit / 4
+        row if quick or row.method == "plain loop" or row.seconds > limit / 4
         else dataclasses.replace(row, memory=memory(calls[row.method, row.setting]))
         for row in found.rows
     ]  # fmt: skip
@@ -134,7 +136,7 @@ def machine(threads):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small scenes, within 5 minutes")
+    parser.add_argument("--quick", action="store_true", help="small scenes, in 2 minutes")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--docs", default="docs", metavar="FOLDER", help="where error-vs-time.md and .jpg go")
     parser.add_argument("--json", default="build/error-vs-time.json", metavar="FILE")
@@ -150,7 +152,7 @@ def main():
     found, about = {}, {}
     for name, make in scenes(args.quick).items():
         scene = make(args.threads)
-        found[name], about[name] = measure(scene, args.threads, args.quick, 3, LIMIT[args.quick]), scene.about
+        found[name], about[name] = measure(scene, args.threads, args.quick), scene.about
         print(f"{name}: {len(found[name].rows)} rows after {time.perf_counter() - clock:.0f} s", flush=True)
     if not measured():
         print("measured Gotcha: left out, PYSAS_DATA does not name its folder", flush=True)

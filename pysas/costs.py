@@ -11,23 +11,36 @@ from pysas.engine import native
 from pysas.scene import Scene
 
 if TYPE_CHECKING:
+    from pysas.forest import Forest
     from pysas.plans import Choices
 
 # ns of one thread beside others: a term, each of its coefficients, a line of a block for each trace, a term with its own
 # exact delay, each of its coefficients; Numba's coefficients by pairs, and for their table's size in the cache
 COST_NS = {
     "avx512": (0.35, 0.06, 8.0, 2.7, 0.12),
-    "avx2": (0.5, 0.085, 9.5, 4.0, 0.35),
+    "avx2": (0.5, 0.085, 9.5, 3.3, 0.1),
     "baseline": (3.7, 0.4, 45.0, 18.0, 1.4),
     "numba": (2.0, 0.1, 45.0, 5.0, 0.1),
 }
 LANES = {"avx512": 16, "avx2": 8, "baseline": 8}  # of a vector of float32
+# registers that may hold what a vector of pixels reads, with the cost of a coefficient in times that of one; the last: gathers
+WINDOWS = {
+    "avx512": ((1, 1.0), (2, 1.3), (4, 2.0), (math.inf, 8.0)),
+    "avx2": ((1, 1.0), (2, 2.2), (math.inf, 6.5)),
+    "baseline": ((math.inf, 1.0),),
+}
 CACHE_NS, PREPARE_NS = 0.02, 9.6  # Numba's: per over-sampling and coefficient; a coefficient of the preparation
-FILTER_NS = 0.05  # a tap of a filter's coefficient
+# C++: a coefficient, what a tap of its filter adds, a point of the transforms before
+COEFFICIENT_NS, FILTER_NS, TRANSFORM_NS = 1.2, 0.05, 5.5
 
 
-def term_ns(scene: Scene, backend: str, precision: str, block: int, near: float, degree: int, oversampling: float) -> float:
-    """Predicted cost of a term, ns, the mean of those with a block's delay polynomial and those nearer than `near`."""
+def term_ns(
+    scene: Scene, backend: str, precision: str, block: int, near: float, degree: int, oversampling: float, part: float = 1.0
+) -> float:
+    """Predicted cost of a term, ns, the mean of those with a block's delay polynomial and those nearer than `near`.
+
+    `part` : of all terms, where the farthest are not summed.
+    """
     wide = 1.0 if precision == "float32" else 2.0
     term, coefficient, line, exact, gathered = COST_NS[native.isa_name() if backend == "cpp" else backend]
     own = wide * (exact + gathered * (degree + 1))
@@ -40,26 +53,37 @@ def term_ns(scene: Scene, backend: str, precision: str, block: int, near: float,
     else:
         lanes = LANES[native.isa_name()] / wide
         padded = math.ceil(block / lanes) * lanes / block
-        # intervals that a vector of pixels spans: beyond one register's worth a coefficient takes more permutes
-        span = lanes * scene.step * scene.slope * 2 * scene.fs / scene.c * oversampling
-        registers = 1 if span < lanes - 1 else 2 if span < 2 * lanes - 1 else 5
-        each *= 1 + 0.3 * (registers - 1)
-    share = scene.within(near)
+        # intervals that a vector of pixels spans, broadside to it
+        span = lanes * scene.step * 2 * scene.fs / scene.c * oversampling
+        before = mean = 0.0
+        for registers, times in WINDOWS[native.isa_name()]:
+            below = 1.0 if math.isinf(registers) else scene.flatter((registers * lanes - 1) / max(span, 1e-9))
+            mean += (below - before) * times
+            before = below
+        each *= mean
+    # lines of which any pixel is that near
+    share = min(1.0, scene.within(near + block * scene.step / 2) / part)
     return share * own + (1 - share) * (wide * padded * (term + each) + line / block)
 
 
-def prepare_seconds(scene: Scene, choices: Choices) -> float:
-    """Predicted time of making all coefficients, on one thread."""
+def prepare_seconds(scene: Scene, choices: Choices, traces: int | None = None) -> float:
+    """Predicted time of making all coefficients, of `traces` traces (default: all heard), on one thread."""
     c = choices
-    made = c.length * c.oversampling * (1 + FILTER_NS * c.taps) if c.taps else PREPARE_NS * c.n_fine
-    return int(np.count_nonzero(scene.heard)) * made * (c.degree + 1) * 1e-9
+    if c.taps:
+        made = c.length * c.oversampling * (c.degree + 1) * (COEFFICIENT_NS + FILTER_NS * c.taps)
+        made += TRANSFORM_NS * (c.n_fft + c.n_fine)
+    else:
+        made = c.n_fine * (c.degree + 1) * PREPARE_NS
+    return (int(np.count_nonzero(scene.heard)) if traces is None else traces) * made * 1e-9
 
 
-def sum_seconds(scene: Scene, choices: Choices, backend: str) -> float:
-    """Predicted time of the direct sum, on one thread."""
+def sum_seconds(scene: Scene, choices: Choices, backend: str, part: float = 1.0) -> float:
+    """Predicted time of the direct sum, on one thread; of `part` of its terms, the nearest."""
+    if part <= 0:
+        return 0.0
     c = choices
-    term = term_ns(scene, backend, c.precision, c.block, c.near, c.degree, c.oversampling)
-    return int(np.count_nonzero(scene.heard)) * scene.pixels * term * 1e-9
+    term = term_ns(scene, backend, c.precision, c.block, c.near, c.degree, c.oversampling, part)
+    return part * scene.lit * scene.traces * scene.pixels * term * 1e-9
 
 
 # a tree, ns: a term of a leaf, a node of a leaf beside its terms, a node of a parent for each child, a pixel read; the last
@@ -72,8 +96,11 @@ TREE_NS = {
 }
 
 
-# planning a tree, s: what it costs at least, the search for a layout included; it grows far slower than the sum
-GROW_SECONDS = {"cpp": 0.02, "numba": 0.05}
+RELIEF = 2.0  # times as long as from their plane: pixels read off it
+
+# s: of a tree that threads do not share; of planning trees at least, which grows far slower than the sums
+TREE_SECONDS = {"cpp": 0.003, "numba": 0.003}
+GROW_SECONDS = {"cpp": 0.03, "numba": 0.1}
 
 
 def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
@@ -83,3 +110,12 @@ def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
     """
     term, node, merge, read = TREE_NS[runs]
     return term, node, merge[0] + merge[1] * width, read[0] + read[1] * width
+
+
+def forest_seconds(forest: Forest, backend: str) -> float:
+    """Predicted time of trees that are grown, and of the direct sum of what they leave, on one thread."""
+    work, c = forest.work(), forest.choices
+    term, node, merge, read = tree_ns(forest.layout.taps.width, native.isa_name() if backend == "cpp" else backend)
+    read *= 1.0 if all(sheet.flat for sheet in forest.sheets) else RELIEF
+    trees = work.leaf_terms * term + work.leaf_nodes * node + work.merged * merge + work.read * read
+    return trees * 1e-9 + sum_seconds(forest.scene, c, backend, 1 - forest.share)

@@ -7,6 +7,7 @@ from it and those summed directly. See docs/ffbp.md.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -79,6 +80,18 @@ class Layout:
     clear: float
 
 
+@dataclass(frozen=True)
+class Work:
+    """What trees do, each as often as a plane asks: terms and nodes of leaves, (node, child) pairs merged, pixels read, traces
+    prepared."""
+
+    leaf_terms: float
+    leaf_nodes: float
+    merged: float
+    read: float
+    traces: int
+
+
 @dataclass
 class Forest:
     """All trees of an image."""
@@ -108,6 +121,21 @@ class Forest:
                 parts = leaves if i == 0 else [(k, k + 1) for k in range(len(level))]
                 most[i] = max(most.get(i, 0), *(4 * level.part(first, last).size for first, last in parts))
         return sum(most.values())
+
+    def work(self) -> Work:
+        """Counted, but that leaves of a tree are taken to have as many traces each."""
+        terms = nodes = merged = read = traces = 0.0
+        for sheet in self.sheets:
+            for t in sheet.trees:
+                traces += len(t.order)
+                if t.subtree is None:
+                    continue
+                levels = t.subtree.levels
+                nodes += levels[0].nodes
+                terms += levels[0].nodes * len(t.order) / len(levels[0])
+                merged += sum(above.nodes * len(below) / len(above) for below, above in itertools.pairwise(levels))
+                read += wanted(t.read, sheet, self.frame.count)
+        return Work(terms, nodes, merged, read, int(traces))
 
     def describe(self) -> list[str]:
         """The tree, for print(plan)."""
@@ -239,6 +267,45 @@ def _fates(
     return read, active & heard & ~read
 
 
+def _cut(scene: Scene, length: float) -> tuple[list[npt.NDArray[np.int64]], FloatArray]:
+    """Traces of each of the longest groups, and all phase centres."""
+    order = np.flatnonzero(scene.heard if scene.weights is None else scene.heard & (scene.weights != 0))
+    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
+    centres = subapertures.phase_centres(scene.geometry, delay)
+    if not order.size:
+        return [], centres
+    return [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, length)], centres
+
+
+def _step(scene: Scene, layout: Layout) -> float:
+    """Between nodes, m, before the sub-images' own bands are known."""
+    return scene.c / (4 * scene.band * scene.fs * layout.taps.rate)
+
+
+def prospect(
+    scene: Scene, frame: Frame, layout: Layout, near: float, relief: float, most: int = 5
+) -> tuple[float, int, int]:  # fmt: skip
+    """About the share of the terms that trees of a layout would serve and the planes of each, by `most` groups; all groups."""
+    whole, centres = _cut(scene, layout.length)
+    pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
+    groups = [subapertures.group(piece, centres)[0] for piece in pieces]
+    through = everything = 0
+    most = 1
+    for sheet in sheets(frame, frame.mask):
+        if not sheet.active.any():
+            continue
+        planes = sheet.planes if sheet.flat else _stack(sheet, groups, scene, relief)
+        if planes is None:
+            return 0.0, 1, len(whole)
+        most = max(most, planes.size)
+        pixels = _sizes(sheet, frame.count)
+        for piece, members in zip(pieces, groups, strict=True):
+            read, direct = _fates(scene, piece, members, replace(sheet, planes=planes), layout, _step(scene, layout), near)
+            through += len(piece) * int(pixels[read].sum())
+            everything += len(piece) * int(pixels[read | direct].sum())
+    return through / max(everything, 1), most, len(whole)
+
+
 def grow(
     scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float, relief: float,
     compiled: bool = False,
@@ -247,17 +314,14 @@ def grow(
 
     `relief` : relative error that reading pixels off their planes may cost; `compiled` : whether C++ grows the trees.
     """
-    order = np.flatnonzero(scene.heard if scene.weights is None else scene.heard & (scene.weights != 0))
-    if not order.size:
+    pieces, centres = _cut(scene, layout.length)
+    if not pieces:
         return None
     medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs)
-    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
-    centres = subapertures.phase_centres(scene.geometry, delay)
-    pieces = [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, layout.length)]
     groups = [subapertures.group(part, centres) for part in pieces]
     # one node spacing for all grids: neighbours along a parent's ray are neighbours on a child's
     highest = 1e-9
-    step = scene.c / (2 * medium.bandwidth * layout.taps.rate)
+    step = _step(scene, layout)
     found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Reads]]]] = []
     for base in sheets(frame, mask):
         if not base.active.any():

@@ -1,8 +1,9 @@
-"""Layouts that a tree of sub-apertures may have on a scene, and about what they cost. No choices."""
+"""Layouts that a tree of sub-apertures may have on a scene, and about what they cost."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import scipy.optimize
 from pysas import subapertures
 from pysas._checks import FloatArray
 from pysas.costs import tree_ns
+from pysas.engine.tree import Taps
 from pysas.forest import Layout
 from pysas.scene import Scene
 
@@ -41,49 +43,89 @@ def lengths(scene: Scene, away: FloatArray) -> list[float]:
     return sorted(v for v in found if v > 0)
 
 
-def seconds(scene: Scene, frame: Frame, layout: Layout, runs: str) -> float:
-    """Predicted seconds of all groups on one thread of `runs`, from a group in the middle of the track."""
-    traces = np.flatnonzero(scene.heard)
-    places = scene.geometry[traces, :2]
+@dataclass(frozen=True)
+class _View:
+    """The image from the middle one of groups of at most `length` m."""
+
+    length: float
+    groups: int
+    served: float  # share of the pixels that are far enough away along the ground
+    area: float  # of these, over their ground distances, m
+    spread: float  # of their bearings, rad
+    depth: float  # of their ground distances, m
+
+
+def _views(scene: Scene, frame: Frame) -> list[_View]:
+    """By candidate length, those that serve any pixel."""
+    places = scene.geometry[scene.heard, :2]
     path = float(np.sum(np.linalg.norm(np.diff(places[:: max(1, len(places) // 256)], axis=0), axis=1)))
-    groups = max(1, math.ceil(path / layout.length))
     centre = places[len(places) // 2]
-    height, width = frame.shape
     pixel = _sample(frame, 24)
     points = pixel[..., :2] - centre
     ground = np.hypot(points[..., 0], points[..., 1])
-    served = ground >= subapertures.NEAR * min(layout.length, path)
-    pixels = scene.pixels
-    if not served.any():
-        return math.inf
+    bearings = np.arctan2(points[..., 1], points[..., 0])
     # the image's area by its corners' spans; a single line is as wide as it is dense
     down = float(np.mean(np.linalg.norm(pixel[-1] - pixel[0], axis=-1))) or 0.01
     across = float(np.mean(np.linalg.norm(pixel[:, -1] - pixel[:, 0], axis=-1))) or 0.01
-    area = down * across * float(np.mean(np.where(served, 1 / np.maximum(ground, 1e-9), 0)))
-    bearing = np.arctan2(points[..., 1], points[..., 0])[served]
-    turn = np.angle(np.mean(np.exp(1j * bearing)))
-    spread = float(np.ptp(np.angle(np.exp(1j * (bearing - turn)))))
-    depth = float(np.ptp(ground[served]))
+    found = []
+    for length in lengths(scene, grounds(scene, frame)):
+        served = ground >= subapertures.NEAR * min(length, path)
+        if served.any():
+            area = down * across * float(np.mean(np.where(served, 1 / np.maximum(ground, 1e-9), 0)))
+            bearing = bearings[served]
+            turn = np.angle(np.mean(np.exp(1j * bearing)))
+            spread = float(np.ptp(np.angle(np.exp(1j * (bearing - turn)))))
+            groups, depth = max(1, math.ceil(path / length)), float(np.ptp(ground[served]))
+            found.append(_View(min(length, path) + 1e-6, groups, float(np.mean(served)), area, spread, depth))
+    return found
+
+
+def cheapest(
+    scene: Scene, frame: Frame, kinds: list[tuple[tuple[int, ...], Taps]], runs: str, spare: float, direct: float
+) -> tuple[Layout, float] | None:
+    """Of layouts of the `kinds` (fans, taps), that of the least predicted time, and its seconds on one thread if it served all
+    pixels; None where none serves any.
+
+    What is not served costs its share of `direct`, s; served are, to begin with, pixels far enough along the ground.
+    """
+    best: tuple[float, Layout, float] | None = None
+    for view in _views(scene, frame):
+        for fans, taps in kinds:
+            layout = Layout(view.length, fans, taps, spare, 0.0)
+            trees = _seconds(scene, view, layout, runs)
+            cost = trees + (1 - view.served) * direct
+            if best is None or cost < best[0]:
+                best = cost, layout, trees / view.served
+    return None if best is None else best[1:]
+
+
+def _seconds(scene: Scene, view: _View, layout: Layout, runs: str) -> float:
+    """Predicted time of all groups on one thread of `runs`."""
     taps, reach = layout.taps, 2 * layout.taps.reach
     step = scene.c / (4 * scene.band * scene.fs * taps.rate * layout.spare)
     shortest = scene.c / (scene.fc + scene.band * scene.fs)
-    length = min(layout.length, path) + 1e-6
+    length = layout.length
     nodes = []
     for fan in (*layout.fans, 0):
         beam = min(subapertures.WIDEST, shortest / (2 * taps.rate * layout.spare * length))
-        rays = spread / beam
-        mean = area / max(spread, 1e-9)
-        nodes.append((rays + reach) * (min(mean + reach * beam * mean, depth + mean) / step + reach))
+        rays = view.spread / beam
+        mean = view.area / max(view.spread, 1e-9)
+        nodes.append((rays + reach) * (min(mean + reach * beam * mean, view.depth + mean) / step + reach))
         length /= max(fan, 1)
     leaf_term, leaf, merge, read = tree_ns(taps.width, runs)
-    per_leaf = len(traces) / groups / math.prod(layout.fans)
+    per_leaf = int(np.count_nonzero(scene.heard)) / view.groups / math.prod(layout.fans)
     work = nodes[-1] * math.prod(layout.fans) * (per_leaf * leaf_term + leaf)
     parts = 1
     for level, fan in enumerate(layout.fans):
         work += parts * nodes[level] * fan * merge
         parts *= fan
-    part = float(np.mean(served))
-    return float(1e-9 * (groups * (work + pixels * part * read) + len(traces) * pixels * (1 - part) * leaf_term))
+    return float(1e-9 * view.groups * (work + scene.pixels * view.served * read))
+
+
+def cleared(scene: Scene, layout: Layout, height: float, error: float) -> Layout:
+    """A layout with the slant range that its nodes must have, whose sensors stand at most `height` up."""
+    extent = layout.length / math.prod(layout.fans)
+    return replace(layout, clear=clear(scene, height, extent, layout.taps.rate, error))
 
 
 def clear(scene: Scene, height: float, extent: float, rate: float, error: float) -> float:

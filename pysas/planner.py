@@ -18,12 +18,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pysas import _checks, bounds, engine, layouts, view_angles
+from pysas import _checks, bounds, costs, engine, layouts, view_angles
 from pysas._checks import ComplexArray
-from pysas.costs import FILTER_NS, GROW_SECONDS, PREPARE_NS, prepare_seconds, sum_seconds, term_ns
+from pysas.costs import forest_seconds, prepare_seconds, sum_seconds, term_ns
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native, tree
-from pysas.forest import Forest, Layout, grow
+from pysas.forest import Forest, Layout, grow, prospect
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.plans import Choices, Plan
@@ -121,8 +121,7 @@ def plan(
     forest, why = None, ""
     if method != "backprojection":
         auto = method == "auto"
-        growing = count * GROW_SECONDS[name] if auto else 0.0
-        forest, why = _plant(scene, grid, left, name, fallback or auto, growing)
+        forest, why = _plant(scene, grid, left, name, fallback or auto, count, auto)
     choices = _choose(scene, left, name) if forest is None else forest.choices
     if scene.lattice is not None:
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": scene.lattice.error})
@@ -179,14 +178,14 @@ def other_engine(plan: Plan) -> str:
     left = plan.tol - (0.0 if scene.lattice is None else min(SHARE_VIEWS * plan.tol, scene.lattice.error))
     if plan.forest is not None:
         choices = _choose(scene, left, plan.backend)
-        seconds = sum_seconds(scene, choices, plan.backend) + prepare_seconds(scene, choices)
+        seconds = _direct_seconds(scene, choices, plan.backend)
         return f"backprojection: {seconds / plan.threads:.2g} s predicted"
-    site, why = _site(scene, plan.grid, left, plan.backend)
+    site, why = _site(scene, plan.grid, left, plan.backend, sum_seconds(scene, plan.choices, plan.backend))
     if site is not None:
-        seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads
-        why = f"{seconds:.2g} s predicted or more, and about {GROW_SECONDS[plan.backend]:g} s to plan"
-        if math.isinf(seconds):
-            why = "pixels too near the track"
+        seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads + site.trees * costs.TREE_SECONDS[
+            plan.backend
+        ]
+        why = f"{seconds:.2g} s predicted, and {costs.GROW_SECONDS[plan.backend]:g} s or more to plan"
     return f"ffbp: {why}"
 
 
@@ -275,7 +274,7 @@ def _choose_filter(
                 continue
             term = term_ns(scene, "cpp", shared["precision"], shared["block"], shared["near"], degree, double * filter.rate)
             coefficients = (degree + 1) * length * double * filter.rate
-            cost = scene.traces * (scene.pixels * term + coefficients * (1 + FILTER_NS * filter.taps))
+            cost = scene.traces * (scene.pixels * term + coefficients * (costs.COEFFICIENT_NS + costs.FILTER_NS * filter.taps))
             if best is None or cost < best[0]:
                 best = (cost, filter)
             break
@@ -304,7 +303,7 @@ def _choose_transform(scene: Scene, tol: float, errors: dict[str, float], shared
         rate = max(1.0, np.pi * scene.band / bounds.theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
         term = term_ns(scene, "numba", precision, shared["block"], shared["near"], degree, n_fine / n_fft)
-        cost = scene.traces * (scene.pixels * term + PREPARE_NS * (degree + 1) * n_fine)
+        cost = scene.traces * (scene.pixels * term + costs.PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
     assert best is not None
@@ -385,7 +384,7 @@ def _crop(scene: Scene, tol: float) -> tuple[int, int, int, float]:
 
 @dataclass(frozen=True)
 class _Site:
-    """Where trees could stand: the best layout and what it costs on one thread, before any tree is grown."""
+    """Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is grown."""
 
     frame: backprojection.Frame
     layout: Layout
@@ -394,25 +393,33 @@ class _Site:
     relief: float
     height: float
     seconds: float
+    trees: int
 
 
 def _plant(
-    scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool, growing: float = 0.0
+    scene: Scene, grid: Grid, tol: float, backend: str, fallback: bool, threads: int, auto: bool
 ) -> tuple[Forest | None, str]:
     """A tree for each of the longest groups, or None and why all is summed directly; an error where that is forbidden.
 
-    `growing` : what planning a tree counts beside its sum, s on one thread.
+    `auto` : planning the trees counts beside their sums.
     """
-    most = _direct_seconds(scene, tol, backend) - growing if fallback else math.inf
-    longer = "a tree would take longer"
-    if most <= 0:
+    choices = _choose(scene, tol, backend)
+    direct = sum_seconds(scene, choices, backend)
+    most = _direct_seconds(scene, choices, backend) if fallback else math.inf
+    forest, longer = None, "a tree would take longer"
+    growing = threads * costs.GROW_SECONDS[backend] if auto else 0.0
+    if most <= growing:
         return None, longer
-    forest = None
-    site, why = _site(scene, grid, tol, backend)
-    if site is not None and site.seconds <= most:
+    site, why = _site(scene, grid, tol, backend, direct)
+    alone = threads * costs.TREE_SECONDS[backend]
+    if site is not None and site.seconds + alone * site.trees > most - growing:
+        return None, longer
+    if site is not None:
         forest, why = _grow(scene, site, tol, backend, not fallback)
-    if fallback and site is not None and (site if forest is None else forest).seconds > most:
-        return None, longer
+    if forest is not None:
+        forest.seconds += alone * len(forest.trees)
+        if forest.seconds > most:
+            return None, longer
     if not fallback and (forest is None or forest.share < 1):
         if forest is not None:
             near = "pixels near the track or across the ends of records or beams"
@@ -421,12 +428,12 @@ def _plant(
     return forest, why
 
 
-def _direct_seconds(scene: Scene, tol: float, backend: str) -> float:
-    return sum_seconds(scene, _choose(scene, tol, backend), backend)
+def _direct_seconds(scene: Scene, choices: Choices, backend: str) -> float:
+    return sum_seconds(scene, choices, backend) + prepare_seconds(scene, choices)
 
 
-def _site(scene: Scene, grid: Grid, tol: float, backend: str) -> tuple[_Site | None, str]:
-    """The cheapest layout that keeps tol, or why there is none."""
+def _site(scene: Scene, grid: Grid, tol: float, backend: str, direct: float) -> tuple[_Site | None, str]:
+    """The cheapest layout that keeps tol, or why there is none; `direct`: seconds of a sum of all terms without trees."""
     from pysas import backprojection
 
     if tol < TREE_TOL * (1 - 1e-9):
@@ -450,34 +457,30 @@ def _site(scene: Scene, grid: Grid, tol: float, backend: str) -> tuple[_Site | N
     sensors = scene.geometry[scene.heard][:, [2, 5]]
     height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
     frame = backprojection.Frame(grid, scene, block, rows=True)
-    away = layouts.grounds(scene, frame)
-    runs = native.isa_name() if backend == "cpp" else backend
-    best: tuple[float, Layout] | None = None
+    kinds: list[tuple[tuple[int, ...], tree.Taps]] = []
     for fans in FANS:
-        stages = len(fans) + 1
         for width, rate, half in TAPS:
             taps = tree.taps(width, rate, half)
-            if bounds.tree_error(taps, stages) <= tol - share - relief:
+            if bounds.tree_error(taps, len(fans) + 1) <= tol - share - relief:
+                kinds.append((fans, taps))
                 break
-        else:
-            continue
-        for length in layouts.lengths(scene, away):
-            layout = Layout(length, fans, taps, SPARE, 0.0)
-            cost = layouts.seconds(scene, frame, layout, runs)
-            if best is None or cost < best[0]:
-                best = (cost, layout)
-    if best is None:
+    if not kinds:
         return None, "no interpolation keeps tol"
-    return _Site(frame, best[1], near, share, relief, height, best[0]), ""
+    runs = native.isa_name() if backend == "cpp" else backend
+    found = layouts.cheapest(scene, frame, kinds, runs, SPARE, direct)
+    if found is None:
+        return None, "pixels too near the track"
+    layout = layouts.cleared(scene, found[0], height, SHARE_PHASE * share)
+    part, planes, groups = prospect(scene, frame, layout, near, relief)
+    seconds = found[1] * part * planes + direct * (1 - part)
+    return _Site(frame, layout, near, share, relief, height, seconds, planes * groups), ""
 
 
 def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
     """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all)."""
 
     def grown(layout: Layout) -> Forest | None:
-        extent = layout.length / math.prod(layout.fans)
-        clear = layouts.clear(scene, site.height, extent, layout.taps.rate, SHARE_PHASE * site.share)
-        layout = dataclasses.replace(layout, clear=clear)
+        layout = layouts.cleared(scene, layout, site.height, SHARE_PHASE * site.share)
         return grow(scene, site.frame, site.frame.mask, layout, site.near, site.relief, backend == "cpp")
 
     layout = site.layout
@@ -493,5 +496,5 @@ def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> t
     if not all(sheet.flat for sheet in forest.sheets):
         errors["relief"] = site.relief
     forest.choices = dataclasses.replace(choices, errors=errors)
-    forest.seconds = site.seconds * max(sheet.planes.size for sheet in forest.sheets)
+    forest.seconds = forest_seconds(forest, backend) + prepare_seconds(forest.scene, choices, forest.work().traces)
     return forest, ""

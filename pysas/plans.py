@@ -201,8 +201,10 @@ class Plan:
     @property
     def predicted_seconds(self) -> float:
         """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
-        sum_ = self.forest.seconds if self.forest is not None else sum_seconds(self.scene, self.choices, self.backend)
-        return (sum_ + prepare_seconds(self.scene, self.choices)) / self.threads
+        if self.forest is not None:
+            return self.forest.seconds / self.threads
+        direct = sum_seconds(self.scene, self.choices, self.backend) + prepare_seconds(self.scene, self.choices)
+        return direct / self.threads
 
     @property
     def predicted_memory(self) -> int:

@@ -13,6 +13,7 @@ from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.grid import Grid
 
 UNIFORM = "uniform-angle"
+SAMPLED = 600  # pixels by which shares of the terms are guessed
 
 
 class Scene:
@@ -61,26 +62,47 @@ class Scene:
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
-        self._away: FloatArray | None = None
+        wanted = None if grid.mask is None else np.flatnonzero(grid.mask)
+        places = (np.arange(SAMPLED) + np.random.default_rng(0).random(SAMPLED)) * (self.pixels / SAMPLED)
+        some = np.unique(places.astype(np.int64))[: self.pixels]
+        some = some if wanted is None else wanted[some]
+        self._pixels = grid.coordinates(some) - self.origin
+        self._along = np.zeros(3)
+        self._some: tuple[FloatArray, FloatArray, float] | None = None
         self.step = self.uneven = 0.0
         if found is not None:
             self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
             self.line_length, self.uneven = grid.shape[-1], found[2]
+            if self.step > 0:
+                self._along = found[1][some // self.line_length] / self.step
             self.slope = _slope(found, self.origin, tx, rx, self.line_length)
 
     def within(self, distance: float) -> float:
-        """About the share of terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
-        if distance <= self.nearest or self.lines is None:
-            return 0.0
-        if self._away is None:
-            first, step, _ = self.lines
-            some = np.unique(np.linspace(0, len(first) - 1, 24).astype(int))
-            along = np.linspace(0, self.line_length - 1, 24)[:, None]
-            pixels = (first[some, None] + along * step[some, None]).reshape(-1, 3) - self.origin
-            sensors = self.geometry[:: max(1, self.traces // 48), :6].reshape(-1, 2, 3)
-            away = np.linalg.norm(pixels[:, None, None] - sensors, axis=-1).min(axis=-1)
-            self._away = np.sort(away.ravel())
-        return float(np.searchsorted(self._away, distance) / self._away.size)
+        """About the share of the terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
+        return _below(self._sampled()[0], distance) if distance > self.nearest else 0.0
+
+    def flatter(self, slope: float) -> float:
+        """About the share of the terms whose range changes by less than `slope` of a step along their line."""
+        return _below(self._sampled()[1], slope)
+
+    @property
+    def lit(self) -> float:
+        """About the share of (trace, pixel) pairs within record and beam: the terms."""
+        return self._sampled()[2]
+
+    def _sampled(self) -> tuple[FloatArray, FloatArray, float]:
+        """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
+        if self._some is None:
+            g = self.geometry[:: max(1, self.traces // 48), None]
+            away = [self._pixels - g[..., i : i + 3] for i in (0, 3)]
+            out = [np.maximum(np.linalg.norm(a, axis=-1), 1e-9) for a in away]
+            index = ((out[0] + out[1]) / self.c - g[..., 12]) * self.fs
+            lit = (index >= 0) & (index <= self.n_sample - 1)
+            if self.cos_beam > -1:
+                lit &= np.sum(away[0] * g[..., 9:12], axis=-1) >= self.cos_beam * out[0]
+            slope = sum(np.sum(a * self._along, axis=-1) / r for a, r in zip(away, out, strict=True))
+            self._some = np.sort(np.minimum(*out)[lit]), np.sort(np.abs(slope)[lit]) / 2, float(np.mean(lit))
+        return self._some
 
     def even_line(self) -> bool:
         """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""
@@ -99,6 +121,10 @@ class Scene:
             f"the grid lies outside the recorded window: image is zero; grid at slant ranges {self.nearest:.4g} to "
             f"{self.farthest:.4g} m, record {low:.4g} to {high:.4g} m"
         )
+
+
+def _below(values: FloatArray, limit: float) -> float:
+    return float(np.searchsorted(values, limit) / max(values.size, 1))
 
 
 def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray | None:

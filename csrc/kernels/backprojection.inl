@@ -181,17 +181,16 @@ Adders<V, N> adders(int trig) {
 }
 
 // Vectors of a line that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
-// those that its polynomial serves (`simple`: if any), while `exact` is given each run of the others.
+// those that its polynomial serves (`far`: if any), while `exact` is given each run of the others.
 template <class V, class Exactly>
-Vectors split(const Trace& trace, const Model& model, const Segments& lines, int r, int count, Reach lit, bool simple,
-              const Exactly& exactly) {
+Vectors split(const Trace& trace, const Model& model, const Segments& lines, int r, int count, Reach heard, Reach lit,
+              bool far, const Exactly& exactly) {
     Vectors kept = {0, 0}, exact = {0, 0};
     for (int s = 0; s * V::n < count; ++s) {
-        const Reach part = lit == Reach::inside
-                               ? lit
-                               : beam(trace, model, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
+        const Reach part =
+            reach(trace, model, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count, heard, lit);
         if (part == Reach::outside) continue;
-        const bool served = simple && part == Reach::inside && (kept.end == 0 || kept.end == s);
+        const bool served = far && part == Reach::inside && (kept.end == 0 || kept.end == s);
         Vectors& run = served ? kept : exact;
         if (!served && run.end > 0 && run.end < s) exactly(run);
         if (run.end < s || run.end == 0) run.begin = s;
@@ -279,12 +278,14 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
                 if (vectors[r].end == 0) continue;
                 const Reach heard =
                     window(trace, job.model, speed, least[0][r] + least[home][r], most[0][r] + most[home][r]);
-                const Reach lit = beam(trace, job.model, segments, r, (count - 1) / 2.0, (count - 1) / 2.0, count);
+                const double middle = (count - 1) / 2.0;
+                const Reach lit =
+                    reach(trace, job.model, segments, r, middle, middle, count, Reach::inside, Reach::across);
                 const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
                 if (heard != Reach::inside || lit != Reach::inside || !far) {
                     vectors[r] = {0, 0};
                     if (heard == Reach::outside || lit == Reach::outside) continue;
-                    vectors[r] = split<V>(trace, job.model, segments, r, count, lit, heard == Reach::inside && far,
+                    vectors[r] = split<V>(trace, job.model, segments, r, count, heard, lit, far,
                                           [&](Vectors some) { exactly(i, r, some); });
                 }
                 if (vectors[r].end == 0) continue;

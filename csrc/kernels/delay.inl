@@ -91,18 +91,27 @@ struct Segments {
     alignas(64) double begin[3][tile_rows], along[3][tile_rows], scale[tile_rows];  // 1 / along^2
 };
 
-// Whether pixels of a line of `count`, `half` either side of number `middle`, lie outside, inside or across the beam.
-inline Reach beam(const Trace& g, const Model& model, const Segments& lines, int r, double middle, double half,
-                  int count) {
-    if (model.cos_beam <= -1.0) return Reach::inside;
-    double at[3], length2 = 0, there2 = 0;
+// Whether pixels of a line of `count`, `half` either side of number `middle`, lie outside, inside or across the
+// record's window and the beam, of which the line as a whole is `heard` and `lit`.
+inline Reach reach(const Trace& g, const Model& model, const Segments& lines, int r, double middle, double half,
+                   int count, Reach heard, Reach lit) {
+    if (model.cos_beam <= -1.0) lit = Reach::inside;
+    if (heard != Reach::across && lit != Reach::across) return both(heard, lit);
+    double at[3], length2 = 0, there2 = 0, back2 = 0;
     for (int axis = 0; axis < 3; ++axis) {
         const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
         at[axis] = lines.begin[axis][r] + middle * step;
         length2 += step * step;
         there2 += (at[axis] - g.tx[axis]) * (at[axis] - g.tx[axis]);
+        back2 += (at[axis] - g.rx[axis]) * (at[axis] - g.rx[axis]);
     }
-    return beam(g, model, at, half * ::sqrt(length2), ::sqrt(there2));
+    const double radius = half * ::sqrt(length2), there = ::sqrt(there2);
+    if (lit == Reach::across) lit = beam(g, model, at, radius, there);
+    if (heard == Reach::across) {
+        const double way = there + ::sqrt(back2), speed = norm(g.velocity[0], g.velocity[1], g.velocity[2]);
+        heard = window(g, model, speed, way > 2 * radius ? way - 2 * radius : 0.0, way + 2 * radius);
+    }
+    return both(heard, lit);
 }
 
 // Least distance of each line from a sensor, and largest, which is that of an end. Spheres about lines that look along
