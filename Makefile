@@ -7,7 +7,7 @@ FUZZ_SECONDS ?= 60
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 comma = ,
 
-.PHONY: build test lint types sanitize tsan fuzz bench bench-quick bench-check
+.PHONY: build test lint types sanitize tsan fuzz bench bench-quick bench-report bench-check
 
 build:
 	$(PYTHON) -m pip install '.[dev]'
@@ -61,6 +61,10 @@ bench:
 bench-quick:
 	$(in_bench) -m bench.backprojection --quick
 	$(in_bench) -m pytest bench -n 0 -p no:cacheprovider -q -k complex128 --benchmark-columns=median,iqr,rounds
+
+# fails where an engine breaks its tol
+bench-report:
+	$(in_bench) -m bench.report --quick --docs . --json error-vs-time.json
 
 # ratios of speeds against those stored in bench/ratios.json
 bench-check:

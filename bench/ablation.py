@@ -106,11 +106,6 @@ def motion(scale):
     return Job(echoes, grid), Job(echoes.replace(velocity=np.full((echoes.n_ping, 3), 1e-9)), grid)
 
 
-def weights(scale):
-    echoes, grid = stripmap(scale, channels=2)
-    return Job(echoes, grid), Job(echoes, grid, weights=np.ones((echoes.n_ping, 2)))
-
-
 def view_weights(scale):
     """On a circle so wide that all arcs of view are alike to 2e-4."""
     pings, pixels, radius = 8 * scale, 4 * scale, 2e4
@@ -127,7 +122,7 @@ def view_weights(scale):
 
 def beam(scale):
     echoes, grid = stripmap(scale)
-    return Job(echoes, grid), Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, 1.5)), grid)
+    return Job(echoes, grid), Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, 1.6)), grid)
 
 
 def out_of_beam(scale):
@@ -196,15 +191,20 @@ def small(scale):
 ROWS = (
     Row("second square root", second_root, "second square root", "Receivers are moved off the transmitter by 1e-9 m.", ALL),
     Row("moving receiver", motion, "receivers' motion", "Two receivers; their velocity is 1e-9 m/s along each axis.", ALL),
-    Row("weights", weights, "weights: none", "Weights of 1 for every ping and channel."),
     Row(
         "weights of pixels",
         view_weights,
-        "weights: none",
+        "weights that differ",
         '`weights="uniform-angle"` on a circle of 20 km radius, where they are 1 to 2e-4.',
         BP,
     ),
-    Row("beam", beam, "beam: none", "A beam of 1.5 rad half-angle, which reaches every pixel from every ping.", ALL),
+    Row(
+        "beam",
+        beam,
+        "beam: none",
+        "A beam of 1.6 rad half-angle: it reaches every pixel, but beyond a right angle that is not looked for.",
+        ALL,
+    ),
     Row(
         "terms out of the beam",
         out_of_beam,

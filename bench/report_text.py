@@ -34,18 +34,22 @@ Joined points of an engine are its `tol`, from 1e-1 to 1e-5. Of the error asked 
 """
 
 
+def worst(found):
+    """The engines' largest error, as a share of the one asked for."""
+    asked = [row for scene in found.values() for row in scene.rows if row.setting.startswith("tol ")]
+    return max(row.error / float(row.setting.removeprefix("tol ")) for row in asked)
+
+
 def document(found, about, host, seconds, quick, random, limit, measured):
     machine = (
         f"{host['model']}, {host['cores']} processors, load {host['load'][0]:.1f} at the start; pysas {host['pysas']} "
         f"({host['extension']}), Python {host['python']}, NumPy {host['numpy']}, SciPy {host['scipy']}, Numba {host['numba']}"
     )
-    asked = [row for scene in found.values() for row in scene.rows if row.setting.startswith("tol ")]
-    worst = max(row.error / float(row.setting.removeprefix("tol ")) for row in asked)
     kind = " (**the quick run**: small scenes and fewer settings)" if quick else ""
     text = [
         HEAD.format(
             flag=" --quick" if quick else "", kind=kind, machine=machine, threads=host["threads"], seconds=seconds,
-            random=random, worst=worst, limit=limit,
+            random=random, worst=worst(found), limit=limit,
             measured="" if measured else "\nMeasured data (Gotcha) were not at hand: that scene is left out.",
         )
     ]  # fmt: skip

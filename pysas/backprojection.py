@@ -175,11 +175,10 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
         notes.append(f"{len(bad)} of {scene.traces} traces left out: non-finite samples")
     peak = float(np.max(peaks, where=finite, initial=0.0))
     scale = float(2.0 ** np.frexp(peak)[1]) if peak > 0 else 1.0
-    if scene.weights is not None:
-        used = used & (scene.weights != 0)
-        largest = float(np.max(np.abs(scene.weights[used]), initial=0.0))
-        if largest > 0:
-            scale *= float(2.0 ** np.frexp(largest)[1])
+    used = used & (scene.weights != 0)
+    largest = float(np.max(np.abs(scene.weights[used]), initial=0.0))
+    if largest > 0:
+        scale *= float(2.0 ** np.frexp(largest)[1])
     order = np.flatnonzero(used)
 
     totals = summation.Totals(0.0, 0.0, 0)
@@ -242,9 +241,8 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
     model = np.array([scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near])
-    weights = None if scene.weights is None else scene.weights[order]
     lattice = None if scene.lattice is None else scene.lattice.of(order)
-    return Survey(geometry, start, weights, scene.kind, model, lattice)
+    return Survey(geometry, start, scene.weights[order], scene.kind, model, lattice)
 
 
 def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator | native.Reader:

@@ -128,7 +128,7 @@ def accumulate(
         survey = survey_of(t.order)
         kept = used[t.order]
         if not kept.all():
-            survey = replace(survey, weights=np.where(kept, 1.0 + 0j if survey.weights is None else survey.weights, 0))
+            survey = replace(survey, weights=np.where(kept, survey.weights, 0))
         for begin, end, leaf0, leaf1 in batches(t, choices.batch):
             clock = time.perf_counter()
             batch = survey.part(begin, end)

@@ -269,7 +269,7 @@ def _fates(
 
 def _cut(scene: Scene, length: float) -> tuple[list[npt.NDArray[np.int64]], FloatArray]:
     """Traces of each of the longest groups, and all phase centres."""
-    order = np.flatnonzero(scene.heard if scene.weights is None else scene.heard & (scene.weights != 0))
+    order = np.flatnonzero(scene.heard & (scene.weights != 0))
     delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
     centres = subapertures.phase_centres(scene.geometry, delay)
     if not order.size:

@@ -39,11 +39,14 @@ class Scene:
         if moving:
             assert velocity is not None
             geometry[:, 6:9] = velocity.reshape(-1, 3)
-        self.cos_beam = -1.0
+        self.cos_beam, self.all_lit = -1.0, False
         if echoes.beam is not None and echoes.beam.half_angle < np.pi:
             boresight = echoes.beam.boresight / np.linalg.norm(echoes.beam.boresight, axis=-1, keepdims=True)
             geometry[:, 9:12] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
             self.cos_beam = float(np.cos(echoes.beam.half_angle))
+            self.all_lit = self.cos_beam >= 0 and _lights(tx, geometry[:, 9:12], self.cos_beam, low, high)
+            if self.all_lit:
+                self.cos_beam = -1.0
         geometry[:, 12] = np.repeat(echoes.start_time, channels)
         self.geometry = geometry
         self.uniform = isinstance(weights, str)
@@ -123,18 +126,23 @@ class Scene:
         )
 
 
+def _lights(tx: FloatArray, boresight: FloatArray, cosine: float, low: FloatArray, high: FloatArray) -> bool:
+    """Whether a box lies in every beam: its corners do, and beams up to a right angle off boresight are convex."""
+    for corner in np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T:
+        away = corner - tx
+        if np.any(np.sum(away * boresight, axis=1) < (cosine + 1e-9) * np.linalg.norm(away, axis=1)):
+            return False
+    return True
+
+
 def _below(values: FloatArray, limit: float) -> float:
     return float(np.searchsorted(values, limit) / max(values.size, 1))
 
 
-def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray | None:
-    if weights is None:
-        return None
-    if isinstance(weights, str):
-        if weights != UNIFORM:
-            raise ValueError(f"weights={weights!r}: expected an array or {UNIFORM!r}")
-        return None
-    array = np.asarray(weights)
+def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray:
+    if isinstance(weights, str) and weights != UNIFORM:
+        raise ValueError(f"weights={weights!r}: expected an array or {UNIFORM!r}")
+    array = np.ones(pings) if weights is None or isinstance(weights, str) else np.asarray(weights)
     if array.dtype.kind not in "iufc":
         raise TypeError(f"weights: expected numbers, found dtype {array.dtype}")
     if array.shape not in ((pings,), (pings, channels)):

@@ -13,6 +13,9 @@ from test_factorised import BACKENDS, plane, single
 
 import pysas
 from pysas import bounds
+from pysas.engine import native
+from pysas.forest import prospect
+from pysas.scene import Scene
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7])
@@ -216,3 +219,46 @@ def test_memory_stays_within_the_estimate_and_the_promise(dtype):
     grown, predicted, data, image = (int(v) for v in result.stdout.split())
     assert grown <= image + 0.25 * (data + image) + 64 * 2**20
     assert grown <= 1.5 * predicted + 16 * 2**20
+
+
+def test_share_of_pairs_within_record_and_beam_is_guessed():
+    """Against the terms that the engine counts; 600 pixels and 48 traces of them are looked at."""
+    echoes = moving(64).replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, 0.3))
+    image = pysas.backproject(echoes, PLANE, 1e-3)
+    scene = Scene(echoes, PLANE, None)
+    assert 0.1 < scene.lit < 0.9
+    assert scene.lit == pytest.approx(1 - image.report.share_left_out, abs=0.03)
+
+
+@pytest.mark.cpp
+def test_wide_pixels_get_long_polynomials_instead_of_gathers():
+    """Intervals that a vector of pixels of 25 cm spans at a high rate do not lie in registers."""
+    if native.isa_name() == "baseline":
+        return  # it gathers anyway
+    echoes = straight(64)
+    narrow, wide = (
+        pysas.plan(echoes, plane(64, 256, 24.0, step), 1e-3, "backprojection", backend="cpp").choices for step in (0.005, 0.25)
+    )
+    assert wide.oversampling < narrow.oversampling and wide.degree > narrow.degree
+
+
+def test_trees_are_judged_before_they_are_grown(long):
+    """By the share that some groups would serve, and by what a sum with them would take: as counted once they stand."""
+    tree = pysas.plan(long, LARGE, 1e-3, "ffbp")
+    forest = tree.forest
+    part, planes, groups = prospect(forest.scene, forest.frame, forest.layout, tree.choices.near, 0.0)
+    assert part == pytest.approx(forest.share, abs=0.1)
+    assert planes * groups == len(forest.trees)
+
+
+@pytest.mark.parametrize("method", ["backprojection", "ffbp"])
+def test_a_beam_that_reaches_every_pixel_is_left_out(long, method):
+    """A corner seen from the farthest ping bounds the angle; a beam a hundredth narrower cuts terms."""
+    corners = np.array([[x, y, 0.0] for x in LARGE.axes["x"][[0, -1]] for y in LARGE.axes["y"][[0, -1]]])
+    away = corners - long.tx[:, None]
+    widest = float(np.arccos((away[..., 1] / np.linalg.norm(away, axis=-1)).min()))
+    wide, narrow = (long.replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, widest * f)) for f in (1.01, 0.99))
+    plain, whole, cut = (pysas.plan(echoes, LARGE, 1e-3, method) for echoes in (long, wide, narrow))
+    assert "beam: it reaches every pixel" in whole.explain() and "beam:" not in cut.explain()
+    assert np.array_equal(whole(long.data).data, plain(long.data).data)
+    assert cut(long.data).report.terms < plain(long.data).report.terms

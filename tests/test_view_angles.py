@@ -189,7 +189,7 @@ def test_a_wrong_name_is_told():
 def test_a_plan_tells_of_them():
     echoes = survey(pings=40)
     plain, even = pysas.plan(echoes, PLANE), pysas.plan(echoes, PLANE, weights=UNIFORM)
-    assert "weights: none given" in plain.explain() and "weights: none given" not in even.explain()
+    assert "weights that differ" in plain.explain() and "weights that differ" not in even.explain()
     assert "view angles" in even.explain()
     assert even.predicted_memory - plain.predicted_memory >= even.scene.lattice.value.nbytes
     outside = pysas.Grid.plane([900.0, 901.0], [0.0])

@@ -229,7 +229,7 @@ def fill(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
     start: npt.NDArray[np.int64],
-    weights: ComplexArray | None,
+    weights: ComplexArray,
     scale: float,
     reader: Reader,
     table: FloatArray,
@@ -263,7 +263,7 @@ def _low_passed(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
     start: npt.NDArray[np.int64],
-    weights: ComplexArray | None,
+    weights: ComplexArray,
     scale: float,
     reader: Reader,
     table: FloatArray,
@@ -281,8 +281,7 @@ def _low_passed(
 
     def prepare(task: int) -> None:
         rows = slice(task * at_once, (task + 1) * at_once)
-        factors = None if weights is None else weights[rows]
-        kept = segments(traces, part[rows], start[rows], factors, scale, cut, kind)
+        kept = segments(traces, part[rows], start[rows], weights[rows], scale, cut, kind)
         padded = np.zeros((len(kept), n_fft), dtype=kind)
         padded[:, lead : lead + cut.length] = kept
         spectrum = scipy.fft.fft(padded, axis=-1, workers=1, overwrite_x=True)

@@ -109,7 +109,7 @@ def segments(
     traces: ComplexArray,
     order: npt.NDArray[np.int64],
     start: npt.NDArray[np.int64],
-    weights: ComplexArray | None,
+    weights: ComplexArray,
     scale: float,
     plan: Cut,
     dtype: npt.DTypeLike,
@@ -125,8 +125,7 @@ def segments(
         first = int(start[i])
         a, b = max(first, 0), min(first + plan.length, n_sample)
         if b > a:
-            factor: Any = 1 / scale if weights is None else weights[i] / scale
-            kept[i, a - first : b - first] = trace[a:b] * np.asarray(factor, dtype=np.result_type(trace, factor))
+            kept[i, a - first : b - first] = trace[a:b] * kept.dtype.type(weights[i] / scale)
     if plan.window is not None:
         kept *= plan.window
     return kept

@@ -29,25 +29,24 @@ def rows_per_task(n_fine: int) -> int:
 class Survey:
     """Traces as the kernels want them, coordinates about the scene's centre.
 
-    geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,) or None;
+    geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,);
     kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,); lattice : weights that change from pixel to pixel, at
     places (y, x, trace), float32, and view_angles.Lattice.axes, or None.
     """
 
     geometry: FloatArray
     start: npt.NDArray[np.int64]
-    weights: ComplexArray | None
+    weights: ComplexArray
     kind: int
     model: FloatArray
     lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
 
     def part(self, begin: int, end: int) -> Survey:
         """Traces [begin, end)."""
-        weights = None if self.weights is None else self.weights[begin:end]
         lattice = self.lattice
         if lattice is not None:
             lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
-        return Survey(self.geometry[begin:end], self.start[begin:end], weights, self.kind, self.model, lattice)
+        return Survey(self.geometry[begin:end], self.start[begin:end], self.weights[begin:end], self.kind, self.model, lattice)
 
     def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
         """The lattice as Numba's kernels take it: without traces where there is none."""
@@ -102,7 +101,7 @@ def prepare(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
     start: npt.NDArray[np.int64],
-    weights: ComplexArray | None,
+    weights: ComplexArray,
     scale: float,
     reader: Interpolator,
     table: npt.NDArray[Any],
@@ -118,8 +117,7 @@ def prepare(
             table[rows[~kept[rows]]] = 0
             rows = rows[kept[rows]]  # the others may hold anything
         if rows.size:
-            factors = None if weights is None else weights[rows]
-            cut = segments(traces, part[rows], start[rows], factors, scale, reader, table.dtype)
+            cut = segments(traces, part[rows], start[rows], weights[rows], scale, reader, table.dtype)
             whole = rows.size == rows[-1] + 1 - rows[0]
             out = table[rows[0] : rows[-1] + 1] if whole else np.empty((rows.size, *table.shape[1:]), table.dtype)
             coefficients(cut, reader, out)
@@ -166,8 +164,8 @@ def accumulate(
         part = order[begin : begin + batch]
         clock = time.perf_counter()
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
-        weights = None if survey.weights is None else survey.weights[begin : begin + part.size]
-        prepare(traces, part, survey.start[begin : begin + part.size], weights, scale, reader, table, threads)
+        some = slice(begin, begin + part.size)
+        prepare(traces, part, survey.start[some], survey.weights[some], scale, reader, table, threads)
         geometry = survey.geometry[begin : begin + part.size].copy()
         geometry[:, _numba_reach.FIRST] = np.arange(part.size) * reader.intervals
         flat_table = table.reshape(-1).view(kind)

@@ -150,7 +150,7 @@ def one_start(echoes: Echoes) -> float:
     off = np.abs(start - start[0]) * echoes.fc > TOLERANCE
     if off.any():
         ping = int(np.argmax(off))
-        raise ValueError(f"echoes: t0={start[ping]!r} s at ping {ping}, {start[0]!r} s at ping 0: expected one start time")
+        raise ValueError(f"echoes: t0={start[ping]:.9g} s at ping {ping}, {start[0]:.9g} s at ping 0: expected one start time")
     return float(start[0])
 
 

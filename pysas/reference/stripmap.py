@@ -161,7 +161,7 @@ def _common_start(echoes: Echoes, name: str) -> float:
     off = np.abs(start - start[0]) * echoes.fc
     if off.max() > TOLERANCE:
         ping = int(np.argmax(off > TOLERANCE))
-        raise ValueError(f"{name}: t0={start[ping]!r} s at ping {ping}, {start[0]!r} s at ping 0: expected one start time")
+        raise ValueError(f"{name}: t0={start[ping]:.9g} s at ping {ping}, {start[0]:.9g} s at ping 0: expected one start time")
     return float(start[0])
 
 
