@@ -1,8 +1,8 @@
 """Ratios of speeds that must not fall: `python -m bench.check` measures them and compares them with bench/ratios.json.
 
 Two calls that share a machine slow down together, so that their ratio holds where seconds do not: medians of interleaved
-runs, one thread. A ratio below 0.6 of the stored one fails: what is stored was measured on one machine, and others differ in
-caches and vector units by that much. `--write` stores what is measured.
+runs, one thread. A ratio below 0.6 of the one stored for the same instruction set fails: what is stored was measured on one
+machine, and others differ in caches and vector units by that much. `--write` stores what is measured.
 """
 
 import argparse
@@ -84,13 +84,18 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="store what is measured instead of comparing")
     args = parser.parse_args()
-    found = measured()
+    config = pysas.show_config("dict")
+    isa = "numba" if config["extension"] == "not built" else config["isa"]
+    found, every = measured(), json.loads(STORED.read_text())
     if args.write:
-        STORED.write_text(json.dumps({name: round(value, 2) for name, value in found.items()}, indent=2) + "\n")
-    stored = json.loads(STORED.read_text())
+        every[isa] = {name: round(value, 2) for name, value in found.items()}
+        STORED.write_text(json.dumps(every, indent=2) + "\n")
+    if isa not in every:
+        sys.exit(f"no ratios are stored for {isa}: --write stores {found}")
+    stored = every[isa]
     bad = [name for name, value in found.items() if value < LEAST * stored[name]]
     for name, value in found.items():
-        print(f"{name:24s} {value:6.2f}  stored {stored[name]:6.2f}  {'FELL' if name in bad else 'ok'}")
+        print(f"{isa} {name:24s} {value:6.2f}  stored {stored[name]:6.2f}  {'FELL' if name in bad else 'ok'}")
     sys.exit(1 if bad else 0)
 
 
