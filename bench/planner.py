@@ -1,8 +1,8 @@
 """Whether the planner chooses well: `python -m bench.planner` prints docs/planner.md.
 
 On every scene and at every `tol` the two engines and `focus` image the same echoes, interleaved, in whole calls that plan,
-prepare and sum; medians after a warm-up. The scenes are the report's, three more that constants
-were fitted on, and three that they were not.
+prepare and sum; medians after a warm-up. The scenes are the report's, three more that constants were fitted on, and three
+that they were not.
 """
 
 import time

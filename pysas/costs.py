@@ -113,9 +113,10 @@ def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
 
 
 def forest_seconds(forest: Forest, backend: str) -> float:
-    """Predicted time of trees that are grown, and of the direct sum of what they leave, on one thread."""
+    """Predicted time of trees that are grown, of the direct sum of what they leave, and of preparation, on one thread."""
     work, c = forest.work(), forest.choices
     term, node, merge, read = tree_ns(forest.layout.taps.width, native.isa_name() if backend == "cpp" else backend)
     read *= 1.0 if all(sheet.flat for sheet in forest.sheets) else RELIEF
     trees = work.leaf_terms * term + work.leaf_nodes * node + work.merged * merge + work.read * read
-    return trees * 1e-9 + sum_seconds(forest.scene, c, backend, 1 - forest.share)
+    rest = sum_seconds(forest.scene, c, backend, 1 - forest.share)
+    return trees * 1e-9 + rest + prepare_seconds(forest.scene, c, work.traces)

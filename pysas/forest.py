@@ -290,20 +290,20 @@ def prospect(
     pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
     groups = [subapertures.group(piece, centres)[0] for piece in pieces]
     through = everything = 0
-    most = 1
+    deepest = 1
     for sheet in sheets(frame, frame.mask):
         if not sheet.active.any():
             continue
         planes = sheet.planes if sheet.flat else _stack(sheet, groups, scene, relief)
         if planes is None:
             return 0.0, 1, len(whole)
-        most = max(most, planes.size)
+        deepest = max(deepest, planes.size)
         pixels = _sizes(sheet, frame.count)
         for piece, members in zip(pieces, groups, strict=True):
             read, direct = _fates(scene, piece, members, replace(sheet, planes=planes), layout, _step(scene, layout), near)
             through += len(piece) * int(pixels[read].sum())
             everything += len(piece) * int(pixels[read | direct].sum())
-    return through / max(everything, 1), most, len(whole)
+    return through / max(everything, 1), deepest, len(whole)
 
 
 def grow(

@@ -496,5 +496,5 @@ def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> t
     if not all(sheet.flat for sheet in forest.sheets):
         errors["relief"] = site.relief
     forest.choices = dataclasses.replace(choices, errors=errors)
-    forest.seconds = forest_seconds(forest, backend) + prepare_seconds(forest.scene, choices, forest.work().traces)
+    forest.seconds = forest_seconds(forest, backend)
     return forest, ""

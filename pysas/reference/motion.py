@@ -12,7 +12,8 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas.echoes import Echoes
 from pysas.pulse import LFM
-from pysas.reference.phase_centres import Centres, delayed, one_start
+from pysas.reference.phase_centres import Centres, delayed
+from pysas.reference.stripmap import one_start
 
 
 def motion_compensate(

@@ -17,7 +17,7 @@ from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.pulse import LFM
-from pysas.reference.stripmap import TOLERANCE
+from pysas.reference.stripmap import TOLERANCE, one_start
 
 _HALF_WIDTH = 16  # of the interpolator in time, samples
 _NEIGHBOURS = 16  # traces that one interpolated trace is made of
@@ -142,16 +142,6 @@ def phase_centres(
     if beam is not None and beam.boresight.ndim == 2:
         beam = type(beam)(beam.boresight.mean(axis=0), beam.length, beam.half_angle)
     return echoes.replace(data=data, tx=tx, rx=tx, velocity=None, ping_time=None, t0=start, attrs=attrs, beam=beam)
-
-
-def one_start(echoes: Echoes) -> float:
-    """The start time of all pings, s; raises where they differ by more than a hundredth of a period of fc."""
-    start = echoes.start_time
-    off = np.abs(start - start[0]) * echoes.fc > TOLERANCE
-    if off.any():
-        ping = int(np.argmax(off))
-        raise ValueError(f"echoes: t0={start[ping]:.9g} s at ping {ping}, {start[0]:.9g} s at ping 0: expected one start time")
-    return float(start[0])
 
 
 def delayed(echoes: Echoes, trace: ComplexArray, delay: FloatArray) -> Complex:

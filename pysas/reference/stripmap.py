@@ -121,7 +121,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         raise ValueError(f"{name}: {echoes.n_ping} ping: expected at least two")
     if echoes.fs >= 2 * echoes.fc:
         raise ValueError(f"{name}: fs={echoes.fs:g} Hz: expected less than twice fc={echoes.fc:g} Hz, no frequency below zero")
-    start = _common_start(echoes, name)
+    start = one_start(echoes, name)
     first, step = _even_line(echoes, name)
     data = echoes.traces[:, 0]
     finite = np.isfinite(data).all(axis=1)
@@ -156,7 +156,8 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     return Strip(echoes, data, x0, step, y0, z0, side, start, k_u, kept, cosine)
 
 
-def _common_start(echoes: Echoes, name: str) -> float:
+def one_start(echoes: Echoes, name: str = "echoes") -> float:
+    """The start time of all pings, s; raises where they differ by more than a hundredth of a period of fc."""
     start = echoes.start_time
     off = np.abs(start - start[0]) * echoes.fc
     if off.max() > TOLERANCE:
