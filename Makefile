@@ -46,9 +46,9 @@ tsan:
 	build/tsan/test_core
 
 fuzz:
-	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=fuzzer-no-link$(comma)address$(comma)undefined -fno-sanitize-recover=all,fuzz,fuzz_c_api,baseline avx512,-fsanitize=fuzzer)
+	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=fuzzer-no-link$(comma)address$(comma)undefined -fno-sanitize-coverage=trace-cmp -fno-sanitize-recover=all,fuzz,fuzz_c_api,baseline avx512,-fsanitize=fuzzer)
 	mkdir -p build/fuzz/corpus
-	build/fuzz/fuzz_c_api -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -timeout=20 -rss_limit_mb=4096 -print_final_stats=1 -artifact_prefix=build/fuzz/ build/fuzz/corpus \
+	build/fuzz/fuzz_c_api -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -timeout=60 -rss_limit_mb=4096 -print_final_stats=1 -artifact_prefix=build/fuzz/ build/fuzz/corpus \
 		> build/fuzz/log 2>&1 || { tail -40 build/fuzz/log; exit 1; }
 	tail -8 build/fuzz/log
 
