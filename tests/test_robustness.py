@@ -31,6 +31,8 @@ def python(code):
 @pytest.mark.parametrize("tol", [1e-3, 1e-4])
 def test_ctrl_c_returns_control_within_half_a_second(threads, tol):
     code = f"""
+        import signal
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
         large = pysas.Grid.plane(np.arange(6000) * 0.01, 25 + np.arange(6000) * 0.002)
         class Enough(Exception):
             pass
