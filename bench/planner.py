@@ -1,8 +1,8 @@
 """Whether the planner chooses well: `python -m bench.planner` prints docs/planner.md.
 
 On every scene and at every `tol` the two engines and `focus` image the same echoes, interleaved, in whole calls that plan,
-prepare and sum; medians after a warm-up. The scenes are the report's, three more that constants were fitted on, and three
-that they were not.
+prepare and sum; medians after a warm-up. The scenes are the report's, more that constants were fitted on, and three that
+they were not.
 """
 
 import time
@@ -23,11 +23,12 @@ HEAD = """# What the planner chooses
 Written by `python -m bench.planner --write docs/planner.md`. On each scene `backproject`, `ffbp` and `focus`, which takes
 whichever the planner predicts to be the faster, image the same complex64 echoes: whole calls, planning and preparation
 included, {threads} threads, medians of {rounds} interleaved runs after a warm-up. **focus / best**: its time over that of the
-faster engine; 1.3 is the aim, and the worst here is {worst:.2f}. Predicted is `plan(...).predicted_seconds`, for preparation
-and sum, beside those measured; error is of `focus` against `pysas.reference.exact` on {pixels} random pixels, half of them
-chosen as often as they are bright.
+faster engine; 1.3 is the aim. Constants of `pysas/costs.py` were fitted on all scenes but the last three, which took no part
+in it: the worst of those fitted is **{fitted:.2f}**, of the three others **{unseen:.2f}**.
 
-Constants of `pysas/costs.py` were fitted on the first ten scenes; the last three took no part in it.
+Predicted is `plan(...).predicted_seconds`, for preparation and sum, beside those measured: engines are compared by it, and it
+is low by about as much for both. Error is of `focus` against `pysas.reference.exact` on {pixels} random pixels, half of them
+chosen as often as they are bright.
 
 """
 COLUMNS = (
@@ -51,6 +52,11 @@ FURTHER = {
     "4 moving receivers": lambda: random_stripmap(200, 2048, 400, channels=4, moving=True),
     "long stripmap, few lines": lambda: stripmap(2048, 128, 2048),
 }
+NEW = {  # than the constants
+    "8 moving receivers, 1024 x 1024": lambda: random_stripmap(128, 2048, 1024, channels=8, moving=True),
+    "short track": lambda: stripmap(256, 512, 512),
+    "circle of 60 m": lambda: circle(1500, 1024, radius=60.0),
+}
 
 
 def places():
@@ -60,7 +66,7 @@ def places():
         scene = make(THREADS)
         return scene.echoes, scene.grid
 
-    return {name: lambda make=make: made(make) for name, make in scenes(False).items()} | FURTHER
+    return {name: lambda make=make: made(make) for name, make in scenes(False).items()} | FURTHER | NEW
 
 
 def measure(echoes, grid, tol, rounds=ROUNDS, pixels=PIXELS):
@@ -108,14 +114,14 @@ def line(name, tol, found):
 
 def main():
     args = parser(__doc__).parse_args()
-    lines, worst = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)], 0.0
+    lines, worst = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS)], {True: 0.0, False: 0.0}
     for name, make in places().items():
         echoes, grid = make()
         for tol in TOLS:
             found = measure(echoes, grid, tol)
-            worst = max(worst, ratio(found))
+            worst[name in NEW] = max(worst[name in NEW], ratio(found))
             lines.append(line(name, tol, found))
-    head = HEAD.format(threads=THREADS, rounds=ROUNDS, worst=worst, pixels=PIXELS)
+    head = HEAD.format(threads=THREADS, rounds=ROUNDS, pixels=PIXELS, fitted=worst[False], unseen=worst[True])
     write(f"{head}{chr(10).join(lines)}\n\nMachine: {machine()}.\n", args.write)
 
 

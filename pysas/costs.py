@@ -98,9 +98,9 @@ TREE_NS = {
 
 RELIEF = 2.0  # times as long as from their plane: pixels read off it
 
-# s: of a tree that threads do not share; of planning trees at least, which grows far slower than the sums
+# s: of a tree that threads do not share, its planning included; of planning any at all
 TREE_SECONDS = {"cpp": 0.003, "numba": 0.003}
-GROW_SECONDS = {"cpp": 0.03, "numba": 0.1}
+GROW_SECONDS = {"cpp": 0.003, "numba": 0.1}
 
 
 def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:

@@ -7,6 +7,7 @@ from it and those summed directly. See docs/ffbp.md.
 from __future__ import annotations
 
 import copy
+import functools
 import itertools
 import math
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from pysas._checks import FloatArray
 from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
 from pysas.scene import Scene
-from pysas.subapertures import BoolArray, Medium, Reads, Subtree
+from pysas.subapertures import BoolArray, Medium, Readings, Subtree
 
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
@@ -64,6 +65,12 @@ class Sheet:
     @property
     def flat(self) -> bool:
         return bool(np.all(self.corners[..., 2] == self.plane))
+
+    @functools.cached_property
+    def spheres(self) -> tuple[FloatArray, FloatArray]:
+        """About the tiles: middles (tile, 3) and radii (tile,)."""
+        middle = self.corners.mean(axis=1)
+        return middle, np.linalg.norm(self.corners - middle[:, None], axis=-1).max(axis=1)
 
 
 @dataclass(frozen=True)
@@ -172,15 +179,14 @@ def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
         top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
         part = None if mask is None else np.ascontiguousarray(mask[begin:end])
         active = np.ones((len(top), len(left)), dtype=np.bool_)
-        corners = np.empty((len(top), len(left), 8, 3))
+        corners = np.empty((len(top), len(left), 4 if frame.straight else 8, 3))
         for i, line in enumerate(top):
             last = min(line + TILE_ROWS, end)
             if frame.straight:  # a line's ends bound it
                 ends = frame.first[[line, last - 1]][:, None] + frame.step[[line, last - 1]][:, None] * np.stack(
                     [left, np.minimum(left + frame.count, width) - 1], axis=1
                 ).reshape(1, -1, 1)
-                box = ends.reshape(2, len(left), 2, 3).transpose(1, 0, 2, 3).reshape(len(left), 4, 3)
-                corners[i] = np.concatenate([box, box], axis=1)
+                corners[i] = ends.reshape(2, len(left), 2, 3).transpose(1, 0, 2, 3).reshape(len(left), 4, 3)
             else:
                 points = frame.points(line * width, last * width).reshape(last - line, width, 3)
                 low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
@@ -189,7 +195,7 @@ def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
                     corners[i, :, k] = np.where([k & 1, k & 2, k & 4], high, low)
             if part is not None:
                 active[i] = np.add.reduceat(part[line - begin : last - begin].sum(axis=0), left) > 0
-        flat = corners.reshape(-1, 8, 3)
+        flat = corners.reshape(-1, *corners.shape[2:])
         planes = np.array([(flat[..., 2].min() + flat[..., 2].max()) / 2])
         found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, active.ravel(), flat, planes))
     return found
@@ -231,8 +237,7 @@ def _fates(
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
     """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted."""
     corners, active = sheet.corners, sheet.active
-    middle = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
+    middle, radius = sheet.spheres
     ground = np.linalg.norm(middle[:, :2] - members.centre[:2], axis=1)
     nearest = ground - radius
     # nodes that a read depends on lie this much further out or in, and to the sides
@@ -283,9 +288,10 @@ def _step(scene: Scene, layout: Layout) -> float:
 
 
 def prospect(
-    scene: Scene, frame: Frame, layout: Layout, near: float, relief: float, most: int = 5
+    scene: Scene, frame: Frame, layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
 ) -> tuple[float, int, int]:  # fmt: skip
-    """About the share of the terms that trees of a layout would serve and the planes of each, by `most` groups; all groups."""
+    """About the share of the terms that trees of a layout would serve and the planes of each, by some groups and tiles; all
+    groups."""
     whole, centres = _cut(scene, layout.length)
     pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
     groups = [subapertures.group(piece, centres)[0] for piece in pieces]
@@ -298,9 +304,15 @@ def prospect(
         if planes is None:
             return 0.0, 1, len(whole)
         deepest = max(deepest, planes.size)
-        pixels = _sizes(sheet, frame.count)
+        # a step that shares no factor with the tiles of a line
+        width, apart = -(-sheet.width // frame.count), max(1, sheet.active.size // tiles)
+        some = slice(None, None, next(k for k in itertools.count(apart) if math.gcd(k, width) == 1))
+        pixels = _sizes(sheet, frame.count)[some]
+        fewer = replace(sheet, planes=planes, active=sheet.active[some], corners=sheet.corners[some])
+        if not fewer.active.any():
+            continue
         for piece, members in zip(pieces, groups, strict=True):
-            read, direct = _fates(scene, piece, members, replace(sheet, planes=planes), layout, _step(scene, layout), near)
+            read, direct = _fates(scene, piece, members, fewer, layout, _step(scene, layout), near)
             through += len(piece) * int(pixels[read].sum())
             everything += len(piece) * int(pixels[read | direct].sum())
     return through / max(everything, 1), deepest, len(whole)
@@ -322,7 +334,7 @@ def grow(
     # one node spacing for all grids: neighbours along a parent's ray are neighbours on a child's
     highest = 1e-9
     step = _step(scene, layout)
-    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Reads]]]] = []
+    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]] = []
     for base in sheets(frame, mask):
         if not base.active.any():
             continue
@@ -336,13 +348,15 @@ def grow(
         for k, plane in enumerate(planes):
             sheet, seen = replace(base, plane=float(plane), number=k, trees=[]), []
             for (members, _), (read, direct) in zip(groups, fates, strict=True):
-                reads = Reads(base.corners if base.flat else subapertures.onto(base.corners, members, sheet.plane)[0])
-                seen.append((read, direct if k == 0 else np.zeros_like(direct), reads))  # once is enough
+                reads = None
                 if read.any():
-                    angle, bearings, grounds = reads.seen_from(members.centre, np.flatnonzero(read))
-                    angles = angle + np.linspace(bearings.min(), bearings.max(), 9)
-                    some = np.linspace(grounds.min(), grounds.max(), 4)
+                    corners = base.corners[read]
+                    corners = corners if base.flat else subapertures.onto(corners, members, sheet.plane)[0]
+                    reads = subapertures.readings(corners, members.centre)
+                    angles = reads.direction + np.linspace(reads.bearings.min(), reads.bearings.max(), 9)
+                    some = np.linspace(reads.grounds.min(), reads.grounds.max(), 4)
                     highest = max(highest, subapertures.bands(members, scene.geometry, medium, sheet.plane, angles, some)[1])
+                seen.append((read, direct if k == 0 else np.zeros_like(direct), reads))  # once is enough
             found.append((sheet, seen))
     # and as long as a table's intervals, of which there are a simple number to a sample
     rate = native.simple_rate(scene.c * layout.taps.rate * layout.spare * highest / scene.fs)
@@ -356,9 +370,9 @@ def grow(
             if not (read.any() or direct.any()):
                 continue
             subtree = None
-            if read.any():
+            if reads is not None:
                 subtree = subapertures.plant(
-                    members, along, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, read, step, layout.taps,
+                    members, along, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, step, layout.taps,
                     layout.spare, compiled,
                 )  # fmt: skip
                 _widen(wider, subtree, step)
@@ -428,4 +442,6 @@ def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool
 
 def wanted(tiles: BoolArray, sheet: Sheet, count: int) -> int:
     """How many pixels some tiles have."""
+    if sheet.mask is None:
+        return int(_sizes(sheet, count)[tiles].sum())
     return int(np.count_nonzero(pixels_of(tiles, sheet, count)))

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:
-    """Ground distances between some of the track and some of the image, sorted, m."""
+    """Ground distances between some of the track and some of the image, m."""
     places = scene.geometry[scene.heard, :2]
     some = places[:: max(1, len(places) // 64)]
-    pixels = _sample(frame, 24).reshape(-1, 3)[:, :2]
-    return np.sort(np.linalg.norm(some[:, None] - pixels, axis=-1).ravel())
+    pixels = _sample(frame, 24).reshape(-1, 3)
+    return np.sqrt((some[:, :1] - pixels[:, 0]) ** 2 + (some[:, 1:] - pixels[:, 1]) ** 2).ravel()
 
 
 def _sample(frame: Frame, most: int) -> FloatArray:

@@ -13,7 +13,7 @@ from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.grid import Grid
 
 UNIFORM = "uniform-angle"
-SAMPLED = 600  # pixels by which shares of the terms are guessed
+SAMPLED, HEARD = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
 
 
 class Scene:
@@ -96,14 +96,16 @@ class Scene:
     def _sampled(self) -> tuple[FloatArray, FloatArray, float]:
         """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
         if self._some is None:
-            g = self.geometry[:: max(1, self.traces // 48), None]
-            away = [self._pixels - g[..., i : i + 3] for i in (0, 3)]
-            out = [np.maximum(np.linalg.norm(a, axis=-1), 1e-9) for a in away]
-            index = ((out[0] + out[1]) / self.c - g[..., 12]) * self.fs
+            g = self.geometry[:: max(1, self.traces // HEARD)].T[..., None]
+            pixel, along = self._pixels.T, self._along.T
+            # (trace, pixel), coordinate by coordinate: sums over a last axis of three are slow
+            away = [[pixel[k] - g[k + i] for k in range(3)] for i in (0, 3)]
+            out = [np.maximum(np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), 1e-9) for a in away]
+            index = ((out[0] + out[1]) / self.c - g[12]) * self.fs
             lit = (index >= 0) & (index <= self.n_sample - 1)
             if self.cos_beam > -1:
-                lit &= np.sum(away[0] * g[..., 9:12], axis=-1) >= self.cos_beam * out[0]
-            slope = sum(np.sum(a * self._along, axis=-1) / r for a, r in zip(away, out, strict=True))
+                lit &= sum(away[0][k] * g[9 + k] for k in range(3)) >= self.cos_beam * out[0]
+            slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
             self._some = np.sort(np.minimum(*out)[lit]), np.sort(np.abs(slope)[lit]) / 2, float(np.mean(lit))
         return self._some
 
@@ -217,13 +219,11 @@ def _slope(
         return 0.0
     first, step, _ = found
     some = np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int))
+    norm = np.maximum(np.linalg.norm(step[some], axis=1), 1e-300)
+    pixel = first[some] + np.array([0, (count - 1) / 2, count - 1])[:, None, None] * step[some] - origin
     worst = 0.0
-    for i in some:
-        norm = float(np.linalg.norm(step[i]))
-        for m in (0, (count - 1) / 2, count - 1):
-            pixel = first[i] + m * step[i] - origin
-            for sensor in (tx, rx):
-                away = pixel - sensor
-                distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
-                worst = max(worst, float(np.max(np.abs(away @ step[i]) / distance)) / max(norm, 1e-300))
+    for sensor in (tx, rx):
+        away = [pixel[..., k, None] - sensor[:, k] for k in range(3)]
+        along = sum(away[k] * (step[some, k] / norm)[:, None] for k in range(3))
+        worst = max(worst, float(np.max(np.abs(along) / np.maximum(np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2), 1e-9))))
     return min(1.0, 1.1 * worst)

@@ -179,33 +179,34 @@ class _Node:
 
 
 @dataclass(frozen=True)
-class Reads:
-    """What the longest groups are read at: tiles' corners (tile, corner, 3)."""
+class Readings:
+    """What one of the longest groups is read at: bearings (n, 2) from a middle direction and ground distances (n, 2) of tiles,
+    lowest and highest."""
 
-    corners: FloatArray
+    direction: float
+    bearings: FloatArray
+    grounds: FloatArray
 
-    def seen_from(self, centre: FloatArray, chosen: IntArray) -> tuple[float, FloatArray, FloatArray]:
-        """Middle direction, and tiles' bearings from it (n, 2) and grounds (n, 2)."""
-        away = self.corners[chosen, :, :2] - centre[:2]
-        middle = away.mean(axis=1)
-        angle = np.arctan2(middle[:, 1], middle[:, 0])
-        # the direction opposite the widest gap between the tiles
-        ordered = np.sort(angle)
-        gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
-        widest = int(np.argmax(gaps))
-        direction = float(ordered[widest] + gaps[widest] / 2 + np.pi)
-        bearing = (angle - direction + np.pi) % (2 * np.pi) - np.pi
-        cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        depth = away[..., 0] * cosine + away[..., 1] * sine
-        side = away[..., 1] * cosine - away[..., 0] * sine
-        own = np.arctan2(side, depth)
-        ground = np.hypot(away[..., 0], away[..., 1])
-        nearest = np.minimum(ground.min(axis=1), depth.min(axis=1))  # an edge may pass nearer than its ends
-        return (
-            direction,
-            bearing[:, None] + np.stack([own.min(axis=1), own.max(axis=1)], axis=1),
-            np.stack([nearest, ground.max(axis=1)], axis=1),
-        )
+
+def readings(corners: FloatArray, centre: FloatArray) -> Readings:
+    """Of tiles by their corners (tile, corner, 3), seen from `centre`."""
+    x, y = corners[..., 0] - centre[0], corners[..., 1] - centre[1]
+    angle = np.arctan2(y.sum(axis=1), x.sum(axis=1))
+    # the direction opposite the widest gap between the tiles
+    ordered = np.sort(angle)
+    gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
+    widest = int(np.argmax(gaps))
+    direction = float(ordered[widest] + gaps[widest] / 2 + np.pi)
+    bearing = (angle - direction + np.pi) % (2 * np.pi) - np.pi
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    depth, side = x * cosine + y * sine, y * cosine - x * sine
+    own, away = np.arctan2(side, depth), np.hypot(x, y)
+    nearest = np.minimum(away.min(axis=1), depth.min(axis=1))  # an edge may pass nearer than its ends
+    return Readings(
+        direction,
+        bearing[:, None] + np.stack([own.min(axis=1), own.max(axis=1)], axis=1),
+        np.stack([nearest, away.max(axis=1)], axis=1),
+    )
 
 
 def _tree(
@@ -270,14 +271,14 @@ class Subtree:
 
 def plant(
     members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
-    plane: float, reads: Reads, tiles: BoolArray, step: float, taps: Taps, spare: float, compiled: bool = False,
+    plane: float, reads: Readings, step: float, taps: Taps, spare: float, compiled: bool = False,
 ) -> Subtree:  # fmt: skip
-    """The tree below one of the longest groups, for the tiles it serves; `compiled` by C++, an order of magnitude faster."""
-    angle, bearings, grounds = reads.seen_from(members.centre, np.flatnonzero(tiles))
+    """The tree below one of the longest groups, for what is read from it; `compiled` by C++, an order of magnitude faster."""
+    angle, bearings, grounds = reads.direction, reads.bearings, reads.grounds
     if compiled:
         sound = np.array([medium.c, medium.fc, medium.bandwidth])
-        readings = np.concatenate([bearings, grounds], axis=1)
-        return Subtree(*growth.plant(geometry, centres, members.traces, sound, fans, taps, spare, plane, angle, readings, step))
+        ends = np.concatenate([bearings, grounds], axis=1)
+        return Subtree(*growth.plant(geometry, centres, members.traces, sound, fans, taps, spare, plane, angle, ends, step))
     slants = slant(grounds, members.centre[2] - plane)
     root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, spare)
     levels = [[root]]

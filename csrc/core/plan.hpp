@@ -1,4 +1,4 @@
-// A plan for callers without Python: the same bounds as pysas/planner.py, whose choices are cheaper but not more
+// A plan for callers without Python: the same bounds as pysas/choices.py, whose choices are cheaper but not more
 // accurate. The tree of fast factorised back-projection is in plan_tree.cpp.
 #pragma once
 
