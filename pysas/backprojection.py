@@ -1,7 +1,7 @@
 """Back-projection: the exact sum over pings and channels, kept within a stated relative error.
 
 This module checks what comes in, carries out a plan's choices on the engine and writes the report. Choices are made in
-planner.py, arithmetic in engine/.
+planner.py and choices.py, arithmetic in engine/.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ TREE_NS = {
 
 RELIEF = 2.0  # times as long as from their plane: pixels read off it
 
-# s: of a tree that threads do not share, its planning included; of planning any at all
+# s: of a tree that threads do not share, its planning included where C++ grows it; of planning any at all
 TREE_SECONDS = {"cpp": 0.003, "numba": 0.003}
 GROW_SECONDS = {"cpp": 0.003, "numba": 0.1}
 

@@ -18,7 +18,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.steps import Setting, Stack, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
-from pysas.forest import TILE_ROWS, Sheet, batches, pixels_of, wanted
+from pysas.forest import TILE_ROWS, Sheet, batches, pixels_of
 from pysas.image import Image
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def accumulate(
                 part = None if sheet.mask is None else sheet.mask[row:last]
                 points, here = _points(frame, sheet, row, last), tiles[row // TILE_ROWS]
                 engine.read(top, stores[len(levels) - 1], None, points, stack, part, frame.count, here, part_of[row:last])
-        terms += 0 if sheet.number else int(np.count_nonzero(kept)) * wanted(t.read, sheet, frame.count)
+        terms += 0 if sheet.number else int(np.count_nonzero(kept)) * int(sheet.pixels[t.read].sum())
         summed += time.perf_counter() - now
         if progress is not None:
             progress(done / whole)

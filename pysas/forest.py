@@ -56,11 +56,16 @@ class Sheet:
     width: int
     plane: float
     mask: npt.NDArray[np.bool_] | None
-    active: BoolArray  # tiles with any pixel wanted
-    corners: FloatArray  # of tiles, or of boxes about them
+    pixels: npt.NDArray[np.int64]  # wanted of each tile
+    corners: FloatArray  # of boxes about the tiles (tile, 4 or 8, 3)
     planes: FloatArray
     number: int = 0
     trees: list[Tree] = field(default_factory=list)
+
+    @property
+    def active(self) -> BoolArray:
+        """Tiles with any pixel wanted."""
+        return self.pixels > 0
 
     @property
     def flat(self) -> bool:
@@ -141,7 +146,7 @@ class Forest:
                 nodes += levels[0].nodes
                 terms += levels[0].nodes * len(t.order) / len(levels[0])
                 merged += sum(above.nodes * len(below) / len(above) for below, above in itertools.pairwise(levels))
-                read += wanted(t.read, sheet, self.frame.count)
+                read += int(sheet.pixels[t.read].sum())
         return Work(terms, nodes, merged, read, int(traces))
 
     def describe(self) -> list[str]:
@@ -178,27 +183,49 @@ def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
     for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
         top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
         part = None if mask is None else np.ascontiguousarray(mask[begin:end])
-        active = np.ones((len(top), len(left)), dtype=np.bool_)
-        corners = np.empty((len(top), len(left), 4 if frame.straight else 8, 3))
+        boxes = np.empty((len(top), len(left), 8, 3))
+        pixels = np.empty((len(top), len(left)), dtype=np.int64)
+        columns = np.minimum(frame.count, width - left)
         for i, line in enumerate(top):
             last = min(line + TILE_ROWS, end)
-            if frame.straight:  # a line's ends bound it
-                ends = frame.first[[line, last - 1]][:, None] + frame.step[[line, last - 1]][:, None] * np.stack(
-                    [left, np.minimum(left + frame.count, width) - 1], axis=1
-                ).reshape(1, -1, 1)
-                corners[i] = ends.reshape(2, len(left), 2, 3).transpose(1, 0, 2, 3).reshape(len(left), 4, 3)
-            else:
-                points = frame.points(line * width, last * width).reshape(last - line, width, 3)
-                low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
-                low, high = low.min(axis=0), high.max(axis=0)
-                for k in range(8):
-                    corners[i, :, k] = np.where([k & 1, k & 2, k & 4], high, low)
-            if part is not None:
-                active[i] = np.add.reduceat(part[line - begin : last - begin].sum(axis=0), left) > 0
-        flat = corners.reshape(-1, *corners.shape[2:])
-        planes = np.array([(flat[..., 2].min() + flat[..., 2].max()) / 2])
-        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, active.ravel(), flat, planes))
+            boxes[i] = _boxes(frame, int(line), int(last), left)
+            rows = None if part is None else part[line - begin : last - begin]
+            pixels[i] = (last - line) * columns if rows is None else np.add.reduceat(rows.sum(axis=0), left)
+        corners = boxes.reshape(-1, 8, 3)
+        low, high = corners[..., 2].min(), corners[..., 2].max()
+        if low == high:  # those above are those below
+            corners = np.ascontiguousarray(corners[:, :4])
+        planes = np.array([(low + high) / 2])
+        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
     return found
+
+
+def _boxes(frame: Frame, line: int, last: int, left: npt.NDArray[np.int64]) -> FloatArray:
+    """Corners (block, 8, 3), the lower four first, of upright boxes about blocks of lines [line, last) from columns `left` on.
+
+    Whatever the order of the lines; along straight lines' mean direction, which fits lines of any.
+    """
+    width = frame.shape[1]
+    if not frame.straight:
+        turn = np.eye(2)
+        points = frame.points(line * width, last * width).reshape(last - line, width, 3)
+        low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
+    else:
+        step = frame.step[line:last]
+        ahead = step[:, :2].sum(axis=0)
+        size = float(np.hypot(*ahead))
+        ahead = ahead / size if size > 0 else np.array([1.0, 0.0])
+        turn = np.array([ahead, [-ahead[1], ahead[0]]])
+        columns = np.stack([left, np.minimum(left + frame.count, width) - 1])
+        ends = frame.first[line:last, None, None] + step[:, None, None] * columns[..., None]
+        ends[..., :2] = ends[..., :2] @ turn.T
+        low, high = ends.min(axis=1), ends.max(axis=1)
+    low, high = low.min(axis=0), high.max(axis=0)
+    out = np.empty((len(left), 8, 3))
+    for k in range(8):
+        out[:, k] = np.where([k & 1, k & 2, k & 4], high, low)
+    out[..., :2] = out[..., :2] @ turn
+    return out
 
 
 def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: float) -> FloatArray | None:
@@ -290,8 +317,10 @@ def _step(scene: Scene, layout: Layout) -> float:
 def prospect(
     scene: Scene, frame: Frame, layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
 ) -> tuple[float, int, int]:  # fmt: skip
-    """About the share of the terms that trees of a layout would serve and the planes of each, by some groups and tiles; all
-    groups."""
+    """Share of the terms that trees of a layout would serve, planes that pixels would be read from, and number of groups.
+
+    The first two judged by about `most` of the groups and `tiles` of the tiles of each sheet.
+    """
     whole, centres = _cut(scene, layout.length)
     pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
     groups = [subapertures.group(piece, centres)[0] for piece in pieces]
@@ -304,17 +333,13 @@ def prospect(
         if planes is None:
             return 0.0, 1, len(whole)
         deepest = max(deepest, planes.size)
-        # a step that shares no factor with the tiles of a line
-        width, apart = -(-sheet.width // frame.count), max(1, sheet.active.size // tiles)
-        some = slice(None, None, next(k for k in itertools.count(apart) if math.gcd(k, width) == 1))
-        pixels = _sizes(sheet, frame.count)[some]
-        fewer = replace(sheet, planes=planes, active=sheet.active[some], corners=sheet.corners[some])
-        if not fewer.active.any():
-            continue
+        some = np.flatnonzero(sheet.active)
+        some = some[:: max(1, some.size // tiles)]
+        fewer = replace(sheet, planes=planes, pixels=sheet.pixels[some], corners=sheet.corners[some])
         for piece, members in zip(pieces, groups, strict=True):
             read, direct = _fates(scene, piece, members, fewer, layout, _step(scene, layout), near)
-            through += len(piece) * int(pixels[read].sum())
-            everything += len(piece) * int(pixels[read | direct].sum())
+            through += len(piece) * int(fewer.pixels[read].sum())
+            everything += len(piece) * int(fewer.pixels[read | direct].sum())
     return through / max(everything, 1), deepest, len(whole)
 
 
@@ -352,7 +377,7 @@ def grow(
                 if read.any():
                     corners = base.corners[read]
                     corners = corners if base.flat else subapertures.onto(corners, members, sheet.plane)[0]
-                    reads = subapertures.readings(corners, members.centre)
+                    reads = subapertures.seen_from(corners, members.centre)
                     angles = reads.direction + np.linspace(reads.bearings.min(), reads.bearings.max(), 9)
                     some = np.linspace(reads.grounds.min(), reads.grounds.max(), 4)
                     highest = max(highest, subapertures.bands(members, scene.geometry, medium, sheet.plane, angles, some)[1])
@@ -365,7 +390,7 @@ def grow(
     wider.first, wider.last = scene.first.copy(), scene.last.copy()
     through = everything = 0
     for sheet, seen in found:
-        pixels = _sizes(sheet, frame.count)
+        pixels = sheet.pixels
         for piece, (members, along), (read, direct, reads) in zip(pieces, groups, seen, strict=True):
             if not (read.any() or direct.any()):
                 continue
@@ -423,25 +448,9 @@ def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
     return found
 
 
-def _sizes(sheet: Sheet, count: int) -> npt.NDArray[np.int64]:
-    """Pixels of each tile."""
-    height, width = sheet.end - sheet.begin, sheet.width
-    down, across = -(-height // TILE_ROWS), -(-width // count)
-    rows = np.minimum(TILE_ROWS, height - TILE_ROWS * np.arange(down))
-    columns = np.minimum(count, width - count * np.arange(across))
-    return np.asarray((rows[:, None] * columns).ravel())
-
-
 def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool_]:
     """The pixels of some tiles, (line, pixel)."""
     height = sheet.end - sheet.begin
     grid = tiles.reshape(-(-height // TILE_ROWS), -1)
     full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : sheet.width]
     return np.ascontiguousarray(full if sheet.mask is None else full & sheet.mask)
-
-
-def wanted(tiles: BoolArray, sheet: Sheet, count: int) -> int:
-    """How many pixels some tiles have."""
-    if sheet.mask is None:
-        return int(_sizes(sheet, count)[tiles].sum())
-    return int(np.count_nonzero(pixels_of(tiles, sheet, count)))

@@ -1,4 +1,4 @@
-"""From `tol` to choices: with choices.py the only modules that know how an error is bought with time.
+"""From `tol` to choices: the only module that knows how an error is bought with time; choices.py has the settings of one sum.
 
 `plan` looks at the scene, leaves out what it does not need, takes the engine of the least predicted time with settings whose
 error bounds sum to at most `tol`, and returns a `Plan` that images any data of the same geometry. `print(plan)` and
@@ -179,7 +179,7 @@ def other_engine(plan: Plan) -> str:
         seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads + site.trees * costs.TREE_SECONDS[
             plan.backend
         ]
-        why = f"{seconds:.2g} s predicted, and {costs.GROW_SECONDS[plan.backend]:g} s or more to plan"
+        why = f"{seconds:.2g} s predicted"
     return f"ffbp: {why}"
 
 
@@ -234,9 +234,9 @@ def _plant(
     most = _direct_seconds(scene, choices, backend) if fallback else math.inf
     forest, longer = None, "a tree would take longer"
     growing = threads * costs.GROW_SECONDS[backend] if auto else 0.0
-    if most <= growing:
+    if most <= 3 * growing:  # looking for a layout alone takes about as long
         return None, longer
-    site, why = _site(scene, grid, tol, backend, direct)
+    site, why = _site(scene, grid, tol, backend, direct, most - growing)
     alone = threads * costs.TREE_SECONDS[backend]
     if site is not None and site.seconds + alone * site.trees > most - growing:
         return None, longer
@@ -258,8 +258,13 @@ def _direct_seconds(scene: Scene, choices: Choices, backend: str) -> float:
     return sum_seconds(scene, choices, backend) + prepare_seconds(scene, choices)
 
 
-def _site(scene: Scene, grid: Grid, tol: float, backend: str, direct: float) -> tuple[_Site | None, str]:
-    """The cheapest layout that keeps tol, or why there is none; `direct`: seconds of a sum of all terms without trees."""
+def _site(
+    scene: Scene, grid: Grid, tol: float, backend: str, direct: float, most: float = math.inf
+) -> tuple[_Site | None, str]:  # fmt: skip
+    """The cheapest layout that keeps tol, or why there is none within `most` s.
+
+    `direct` : of a sum of all terms without trees, s.
+    """
     from pysas import backprojection
 
     if tol < TREE_TOL * (1 - 1e-9):
@@ -296,6 +301,8 @@ def _site(scene: Scene, grid: Grid, tol: float, backend: str, direct: float) -> 
     found = layouts.cheapest(scene, frame, kinds, runs, SPARE, direct)
     if found is None:
         return None, "pixels too near the track"
+    if found[1] > most:
+        return None, "a tree would take longer"
     layout = layouts.cleared(scene, found[0], height, SHARE_PHASE * share)
     part, planes, groups = prospect(scene, frame, layout, near, relief)
     seconds = found[1] * part * planes + direct * (1 - part)

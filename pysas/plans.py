@@ -200,7 +200,10 @@ class Plan:
 
     @property
     def predicted_seconds(self) -> float:
-        """Rough time on this many threads, s (constants of the planner, not measured on this machine)."""
+        """Rough time of an image on this many threads, s, the planning of trees that C++ grows included.
+
+        By constants of the planner, not measured on this machine.
+        """
         if self.forest is not None:
             return self.forest.seconds / self.threads
         direct = sum_seconds(self.scene, self.choices, self.backend) + prepare_seconds(self.scene, self.choices)

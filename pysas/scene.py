@@ -13,7 +13,7 @@ from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.grid import Grid
 
 UNIFORM = "uniform-angle"
-SAMPLED, HEARD = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
+SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
 
 
 class Scene:
@@ -78,7 +78,7 @@ class Scene:
             self.line_length, self.uneven = grid.shape[-1], found[2]
             if self.step > 0:
                 self._along = found[1][some // self.line_length] / self.step
-            self.slope = _slope(found, self.origin, tx, rx, self.line_length)
+            self.slope = _slope(found, self.origin, tx, tx if self.kind == MONOSTATIC else rx, self.line_length)
 
     def within(self, distance: float) -> float:
         """About the share of the terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
@@ -96,7 +96,8 @@ class Scene:
     def _sampled(self) -> tuple[FloatArray, FloatArray, float]:
         """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
         if self._some is None:
-            g = self.geometry[:: max(1, self.traces // HEARD)].T[..., None]
+            # a stride might meet one channel alone
+            g = self.geometry[np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)].T[..., None]
             pixel, along = self._pixels.T, self._along.T
             # (trace, pixel), coordinate by coordinate: sums over a last axis of three are slow
             away = [[pixel[k] - g[k + i] for k in range(3)] for i in (0, 3)]
@@ -218,12 +219,14 @@ def _slope(
     if count == 1:
         return 0.0
     first, step, _ = found
-    some = np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int))
-    norm = np.maximum(np.linalg.norm(step[some], axis=1), 1e-300)
-    pixel = first[some] + np.array([0, (count - 1) / 2, count - 1])[:, None, None] * step[some] - origin
+    places = np.array([0, (count - 1) / 2, count - 1])[:, None]
     worst = 0.0
-    for sensor in (tx, rx):
-        away = [pixel[..., k, None] - sensor[:, k] for k in range(3)]
-        along = sum(away[k] * (step[some, k] / norm)[:, None] for k in range(3))
-        worst = max(worst, float(np.max(np.abs(along) / np.maximum(np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2), 1e-9))))
+    for i in np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int)):
+        along = step[i] / max(float(np.linalg.norm(step[i])), 1e-300)
+        pixel = first[i] + places * step[i] - origin
+        for sensor in (tx,) if rx is tx else (tx, rx):
+            away = [pixel[:, k, None] - sensor[:, k] for k in range(3)]  # (place, trace)
+            distance = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
+            ahead = away[0] * along[0] + away[1] * along[1] + away[2] * along[2]
+            worst = max(worst, float(np.max(np.abs(ahead) / np.maximum(distance, 1e-9))))
     return min(1.0, 1.1 * worst)

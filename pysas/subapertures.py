@@ -188,7 +188,7 @@ class Readings:
     grounds: FloatArray
 
 
-def readings(corners: FloatArray, centre: FloatArray) -> Readings:
+def seen_from(corners: FloatArray, centre: FloatArray) -> Readings:
     """Of tiles by their corners (tile, corner, 3), seen from `centre`."""
     x, y = corners[..., 0] - centre[0], corners[..., 1] - centre[1]
     angle = np.arctan2(y.sum(axis=1), x.sum(axis=1))

@@ -178,6 +178,34 @@ def test_any_place_of_the_image(name, backend, monkeypatch):
         assert error(pysas.ffbp(echoes, grid, tol), echoes, grid, right=right) <= tol
 
 
+def rows(shift_x, shift_y):
+    """Lines of 130 pixels in any order or along any curve."""
+    x, y = (np.arange(130) - 65) * 0.02 + shift_x[:, None], (26.0 + shift_y)[:, None]
+    return pysas.Grid.points(np.stack(np.broadcast_arrays(x, y, 0.0), axis=-1))
+
+
+N = np.arange(100)
+SHUFFLED = np.random.default_rng(0).permutation(N) * 0.02
+ORDERS = {
+    "lines in any order": pysas.Grid.plane((np.arange(130) - 65) * 0.02, 26.0 + SHUFFLED),
+    "rows in any order": rows(np.zeros(100), SHUFFLED),
+    "rows that sway": rows(0.5 * np.sin(N / 5), N * 0.02),
+    "rows there and back": rows(np.zeros(100), 0.5 * np.sin(N / 5)),
+    "rays far apart": pysas.Grid.polar(24.0 + np.arange(130) * 0.02, np.pi / 2 + np.arange(-30, 30) * 0.005),
+}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_lines_may_lie_in_any_order(name, backend, monkeypatch):
+    """Tiles hold all of their lines, not what lies between the first and the last."""
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    echoes, grid = tracked(line(np.arange(160) * 0.03 - 2.4), near=23.0), ORDERS[name]
+    image = pysas.ffbp(echoes, grid, 1e-3)
+    assert image.report.factorised_share > 0.6
+    assert error(image, echoes, grid, count=500) <= 1e-3
+    assert error(pysas.backproject(echoes, grid, 1e-3), echoes, grid, count=500) <= 1e-3
+
+
 def test_stiff_ratios(backend):
     """Range over wavelength of 1e6, and a band wider than half the carrier (Q below 2)."""
     far = line(np.arange(128) * 0.3 - 19, z=50.0)

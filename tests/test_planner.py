@@ -12,7 +12,7 @@ from scipy.special import jv
 from test_factorised import BACKENDS, plane, single
 
 import pysas
-from pysas import bounds
+from pysas import bounds, planner
 from pysas.engine import native
 from pysas.forest import prospect
 from pysas.scene import Scene
@@ -224,7 +224,7 @@ def test_memory_stays_within_the_estimate_and_the_promise(dtype):
 
 
 def test_share_of_pairs_within_record_and_beam_is_guessed():
-    """Against the terms that the engine counts; 600 pixels and 48 traces of them are looked at."""
+    """Against the terms that the engine counts; 400 pixels and 32 traces of them are looked at."""
     echoes = moving(64).replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, 0.3))
     image = pysas.backproject(echoes, PLANE, 1e-3)
     scene = Scene(echoes, PLANE, None)
@@ -251,6 +251,21 @@ def test_trees_are_judged_before_they_are_grown(long):
     part, planes, groups = prospect(forest.scene, forest.frame, forest.layout, tree.choices.near, 0.0)
     assert part == pytest.approx(forest.share, abs=0.1)
     assert planes * groups == len(forest.trees)
+
+
+@pytest.mark.parametrize("corner", [0, 700])
+def test_trees_are_judged_by_some_of_the_tiles_that_are_wanted(long, corner, monkeypatch):
+    """Wherever a mask leaves them: a few of many."""
+    mask = np.zeros((1024, 1024), dtype=bool)
+    mask[corner : corner + 260, corner : corner + 260] = True
+    grid = pysas.Grid.plane(np.arange(1024) * 0.02 - 10, np.arange(1024) * 0.02 + 22, mask=mask)
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    tree = pysas.plan(long, grid, 1e-3, "ffbp")
+    few, all = (
+        prospect(tree.forest.scene, tree.forest.frame, tree.forest.layout, tree.choices.near, 0.0, tiles=n)[0]
+        for n in (20, 10**9)
+    )
+    assert few == pytest.approx(all, abs=0.1) and all > 0.3
 
 
 @pytest.mark.parametrize("method", ["backprojection", "ffbp"])

@@ -23,7 +23,7 @@ from pysas.engine.preparation import Interpolator, coefficients, segments
 def rows_per_task(n_fine: int) -> int:
     """Traces a worker transforms at a time: several, unless their transforms outgrow the cache; more where they are short, as
     what is around the transforms is Python's, one thread at a time."""
-    return max(1, min(8, 2**19 // n_fine), min(32, 2**16 // n_fine))
+    return max(1, min(8, 2**19 // n_fine), min(16, 2**16 // n_fine))
 
 
 @dataclass(frozen=True)
