@@ -1,9 +1,9 @@
 """Every method on every scene, its error beside its run time: `python -m bench.report` writes docs/error-vs-time.md.
 
-    python -m bench.report            six scenes, seven with measured data; within 40 minutes on two cores
-    python -m bench.report --quick    the same scenes, small, and fewer settings; in 2 minutes
+    python -m bench.report            seven scenes, eight with measured data; within 40 minutes on two cores
+    python -m bench.report --quick    six of them, small, and fewer settings; in 2 minutes
 
-What runs and how it is judged is `pysas.comparison`'s; the scenes are `bench.report_scenes`'. The seventh is the public Gotcha
+What runs and how it is judged is `pysas.comparison`'s; the scenes are `bench.report_scenes`'. The last is the public Gotcha
 data, where the environment variable PYSAS_DATA names the folder that holds them.
 """
 

@@ -13,6 +13,7 @@ import numpy as np
 import pysas
 
 GOTCHA = "gotcha_phase_history.npz"
+SMALL = "small circle"
 C, FC, SWEEP = 1500.0, 100e3, 20e3
 PULSE = pysas.LFM(FC, SWEEP, 2e-3, "tukey", 0.6)
 BAND = 26e3  # holds all but 6e-6 of the compressed pulse
@@ -164,6 +165,8 @@ def scenes(quick):
     made["perturbed track, 6 moving receivers"] = lambda threads: moving("25 m, 6 m above", *others[0], threads)
     made["circular"] = lambda threads: circular("radius 15 m, 6 m above", *others[1], threads)
     found = {name: made[name] for name in ORDER}
+    if not quick:  # small enough for frames
+        found[SMALL] = lambda threads: circular("radius 15 m, 6 m above", 120, 40, threads)
     if measured():
         found["measured Gotcha"] = lambda threads: gotcha(*((30.0, 0.2) if quick else (100.0, 0.2)))
     return found
