@@ -171,7 +171,7 @@ class Forest:
         return lines
 
 
-def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
+def sheets(frame: Frame) -> list[Sheet]:
     """The image's lines by the plane they lie on, or all of them where they lie on none."""
     height, width = frame.shape
     cuts = np.array([0, height])
@@ -182,7 +182,7 @@ def sheets(frame: Frame, mask: npt.NDArray[np.bool_] | None) -> list[Sheet]:
     found = []
     for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
         top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
-        part = None if mask is None else np.ascontiguousarray(mask[begin:end])
+        part = None if frame.mask is None else np.ascontiguousarray(frame.mask[begin:end])
         boxes = np.empty((len(top), len(left), 8, 3))
         pixels = np.empty((len(top), len(left)), dtype=np.int64)
         columns = np.minimum(frame.count, width - left)
@@ -315,18 +315,18 @@ def _step(scene: Scene, layout: Layout) -> float:
 
 
 def prospect(
-    scene: Scene, frame: Frame, layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
+    scene: Scene, image: list[Sheet], layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
 ) -> tuple[float, int, int]:  # fmt: skip
     """Share of the terms that trees of a layout would serve, planes that pixels would be read from, and number of groups.
 
-    The first two judged by about `most` of the groups and `tiles` of the tiles of each sheet.
+    The first two judged by about `most` of the groups and `tiles` of the tiles of each sheet of the `image`.
     """
     whole, centres = _cut(scene, layout.length)
     pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
     groups = [subapertures.group(piece, centres)[0] for piece in pieces]
     through = everything = 0
     deepest = 1
-    for sheet in sheets(frame, frame.mask):
+    for sheet in image:
         if not sheet.active.any():
             continue
         planes = sheet.planes if sheet.flat else _stack(sheet, groups, scene, relief)
@@ -344,12 +344,12 @@ def prospect(
 
 
 def grow(
-    scene: Scene, frame: Frame, mask: npt.NDArray[np.bool_] | None, layout: Layout, near: float, relief: float,
-    compiled: bool = False,
-) -> Forest | None:  # fmt: skip
+    scene: Scene, frame: Frame, image: list[Sheet], layout: Layout, near: float, relief: float, compiled: bool = False
+) -> Forest | None:
     """All trees of an image, without choices for the direct sums; None where no pixel can be read from one.
 
-    `relief` : relative error that reading pixels off their planes may cost; `compiled` : whether C++ grows the trees.
+    `image` : its sheets, which stay as they are; `relief` : relative error that reading pixels off their planes may cost;
+    `compiled` : whether C++ grows the trees.
     """
     pieces, centres = _cut(scene, layout.length)
     if not pieces:
@@ -360,7 +360,7 @@ def grow(
     highest = 1e-9
     step = _step(scene, layout)
     found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]] = []
-    for base in sheets(frame, mask):
+    for base in image:
         if not base.active.any():
             continue
         planes = base.planes if base.flat else _stack(base, [members for members, _ in groups], scene, relief)

@@ -22,7 +22,7 @@ from pysas.choices import LONGEST_BLOCK, SHARE_PHASE, choose, choose_delay, even
 from pysas.costs import forest_seconds, prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import NODES, native, tree
-from pysas.forest import Forest, Layout, grow, prospect
+from pysas.forest import Forest, Layout, Sheet, grow, prospect, sheets
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.plans import Choices, Plan
@@ -46,6 +46,7 @@ TAPS = (
     (8, 1.75, 10),
 )  # fmt: skip
 SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band overlaps a little
+LONGER = "a tree would take longer"
 FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
 
 
@@ -213,6 +214,7 @@ class _Site:
     """Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is grown."""
 
     frame: backprojection.Frame
+    image: list[Sheet]
     layout: Layout
     near: float
     share: float
@@ -232,20 +234,20 @@ def _plant(
     """
     direct = sum_seconds(scene, choices, backend)
     most = _direct_seconds(scene, choices, backend) if fallback else math.inf
-    forest, longer = None, "a tree would take longer"
+    forest = None
     growing = threads * costs.GROW_SECONDS[backend] if auto else 0.0
     if most <= 3 * growing:  # looking for a layout alone takes about as long
-        return None, longer
+        return None, LONGER
     site, why = _site(scene, grid, tol, backend, direct, most - growing)
     alone = threads * costs.TREE_SECONDS[backend]
     if site is not None and site.seconds + alone * site.trees > most - growing:
-        return None, longer
+        return None, LONGER
     if site is not None:
         forest, why = _grow(scene, site, tol, backend, not fallback)
     if forest is not None:
         forest.seconds += alone * len(forest.trees)
         if forest.seconds > most:
-            return None, longer
+            return None, LONGER
     if not fallback and (forest is None or forest.share < 1):
         if forest is not None:
             near = "pixels near the track or across the ends of records or beams"
@@ -302,11 +304,12 @@ def _site(
     if found is None:
         return None, "pixels too near the track"
     if found[1] > most:
-        return None, "a tree would take longer"
+        return None, LONGER
     layout = layouts.cleared(scene, found[0], height, SHARE_PHASE * share)
-    part, planes, groups = prospect(scene, frame, layout, near, relief)
+    image = sheets(frame)
+    part, planes, groups = prospect(scene, image, layout, near, relief)
     seconds = found[1] * part * planes + direct * (1 - part)
-    return _Site(frame, layout, near, share, relief, height, seconds, planes * groups), ""
+    return _Site(frame, image, layout, near, share, relief, height, seconds, planes * groups), ""
 
 
 def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
@@ -314,7 +317,7 @@ def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> t
 
     def grown(layout: Layout) -> Forest | None:
         layout = layouts.cleared(scene, layout, site.height, SHARE_PHASE * site.share)
-        return grow(scene, site.frame, site.frame.mask, layout, site.near, site.relief, backend == "cpp")
+        return grow(scene, site.frame, site.image, layout, site.near, site.relief, backend == "cpp")
 
     layout = site.layout
     forest = grown(layout)

@@ -78,7 +78,8 @@ class Scene:
             self.line_length, self.uneven = grid.shape[-1], found[2]
             if self.step > 0:
                 self._along = found[1][some // self.line_length] / self.step
-            self.slope = _slope(found, self.origin, tx, tx if self.kind == MONOSTATIC else rx, self.line_length)
+            sensors = (tx,) if self.kind == MONOSTATIC else (tx, rx)
+            self.slope = _slope(found, self.origin, sensors, self.line_length)
 
     def within(self, distance: float) -> float:
         """About the share of the terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
@@ -213,7 +214,7 @@ def _distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[F
 
 
 def _slope(
-    found: tuple[FloatArray, FloatArray, float], origin: FloatArray, tx: FloatArray, rx: FloatArray, count: int
+    found: tuple[FloatArray, FloatArray, float], origin: FloatArray, sensors: tuple[FloatArray, ...], count: int
 ) -> float:
     """Largest share of a step along a line that changes the one-way range, over traces and the lines' ends (plus 10 %)."""
     if count == 1:
@@ -224,7 +225,7 @@ def _slope(
     for i in np.unique(np.linspace(0, len(first) - 1, min(len(first), 9)).astype(int)):
         along = step[i] / max(float(np.linalg.norm(step[i])), 1e-300)
         pixel = first[i] + places * step[i] - origin
-        for sensor in (tx,) if rx is tx else (tx, rx):
+        for sensor in sensors:
             away = [pixel[:, k, None] - sensor[:, k] for k in range(3)]  # (place, trace)
             distance = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
             ahead = away[0] * along[0] + away[1] * along[1] + away[2] * along[2]

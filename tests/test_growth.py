@@ -28,7 +28,9 @@ def test_both_builders_grow_the_same_trees(name, tol):
     make, grid = SCENES[name]
     plan = pysas.plan(make(), grid, tol, "ffbp", backend="cpp", fallback=False)
     near, layout, frame = plan.choices.near, plan.forest.layout, plan.forest.frame
-    one, other = (forest.grow(plan.scene, frame, frame.mask, layout, near, 0.2 * tol, compiled) for compiled in (False, True))
+    one, other = (
+        forest.grow(plan.scene, frame, forest.sheets(frame), layout, near, 0.2 * tol, compiled) for compiled in (False, True)
+    )
     assert one.rate == other.rate and one.share == other.share == 1 and len(one.trees) == len(other.trees)
     assert np.array_equal(one.scene.first, other.scene.first) and np.array_equal(one.scene.last, other.scene.last)
     for a, b in zip(one.trees, other.trees, strict=True):
