@@ -26,13 +26,21 @@ BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
 
 
-def choose(
-    scene: Scene, budget: float, backend: str = "numba", rounding: float = 3 * SHARE_PHASE, rate: Fraction | None = None
-) -> Choices:
-    """The cheapest settings whose bounds add up to at most `budget`, a relative error.
+def choose(scene: Scene, budget: float, backend: str = "numba") -> Choices:
+    """The cheapest settings whose bounds add up to at most `budget`, a relative error."""
+    found = _settings(scene, budget, backend, 3 * SHARE_PHASE, None)
+    if found is None:  # a longer filter and a higher degree reach every budget that is let in
+        raise RuntimeError(f"no settings keep {budget:g}: a fault of pysas, please report it")
+    return found
 
-    `rate` : of the tables in C++, where leaves want one.
-    """
+
+def choose_for_leaves(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction) -> Choices | None:
+    """The same with tables of `rate` intervals per sample, as C++ wants them for leaves, or None where no filter makes them
+    within the budget; `rounding` : share of it for float32 offsets in a block."""
+    return _settings(scene, budget, backend, rounding, rate)
+
+
+def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction | None) -> Choices | None:
     single = scene.dtype == np.complex64 or budget >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
@@ -57,7 +65,7 @@ def choose(
 
 def _choose_filter(
     scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None
-) -> Choices:
+) -> Choices | None:
     """C++: coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
 
     W (see pysas.reference.exact) says how a record's end is read, and its long response needs transforms: one forward, one
@@ -93,7 +101,8 @@ def _choose_filter(
             if best is None or cost < best[0]:
                 best = (cost, filter)
             break
-    assert best is not None  # a longer filter and a higher degree reach every budget that is let in
+    if best is None:
+        return None
     filter = best[1]
     errors["interpolation"] = filter.error
     rate = double * filter.rate
@@ -105,7 +114,7 @@ def _choose_filter(
     )  # fmt: skip
 
 
-def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices:
+def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices | None:
     """Numba: coefficients by transforms."""
     length, margin, taper, beta = _crop(scene, budget)
     pad = bounds.guard(SHARE_WRAP * budget) if length == scene.n_sample else 0
@@ -121,7 +130,8 @@ def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], sha
         cost = scene.traces * (scene.pixels * term + costs.PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
-    assert best is not None
+    if best is None:
+        return None
     _, degree, n_fine = best
     errors["interpolation"] = bounds.interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
     size = int(length * n_fine / n_fft) * (degree + 1) * (8 if precision == "float32" else 16)

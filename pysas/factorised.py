@@ -18,8 +18,9 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.steps import Setting, Stack, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
-from pysas.forest import TILE_ROWS, Sheet, batches, pixels_of
+from pysas.forest import batches
 from pysas.image import Image
+from pysas.tiles import TILE_ROWS, Sheet, pixels_of
 
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
@@ -83,7 +84,8 @@ def accumulate(
 ) -> Totals:  # fmt: skip
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
     forest, choices, threads = plan.forest, plan.choices, plan.threads
-    assert forest is not None
+    if forest is None:
+        raise RuntimeError("a plan without trees was to be summed through them: a fault of pysas, please report it")
     frame, scene = forest.frame, forest.scene
     traces = samples if samples.ndim == 3 else samples[:, None, :]
     stores: dict[int, Any] = {}

@@ -7,10 +7,9 @@ from it and those summed directly. See docs/ffbp.md.
 from __future__ import annotations
 
 import copy
-import functools
 import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -23,59 +22,16 @@ from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
 from pysas.scene import Scene
 from pysas.subapertures import BoolArray, Medium, Readings, Subtree
+from pysas.tiles import Sheet, Tree
 
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
     from pysas.plans import Choices
 
-TILE_ROWS = 32
 MOST_PLANES = 6
 WIDE = 0.3  # a tile's radius, seen from a group, at most: rad
-
-
-@dataclass(frozen=True)
-class Tree:
-    """One of the longest groups: its sub-images if any tile is read from it, its traces (flat numbers), the tiles' fates."""
-
-    order: npt.NDArray[np.int64]
-    read: BoolArray
-    direct: BoolArray
-    subtree: Subtree | None
-    group: subapertures.Group
-
-
-@dataclass
-class Sheet:
-    """Lines [begin, end) of the image and the trees of a horizontal plane that they are read from.
-
-    Lines that lie on no plane are read from a stack of them, polynomials through number `number` of `planes` (heights, m).
-    """
-
-    begin: int
-    end: int
-    width: int
-    plane: float
-    mask: npt.NDArray[np.bool_] | None
-    pixels: npt.NDArray[np.int64]  # wanted of each tile
-    corners: FloatArray  # of boxes about the tiles (tile, 4 or 8, 3)
-    planes: FloatArray
-    number: int = 0
-    trees: list[Tree] = field(default_factory=list)
-
-    @property
-    def active(self) -> BoolArray:
-        """Tiles with any pixel wanted."""
-        return self.pixels > 0
-
-    @property
-    def flat(self) -> bool:
-        return bool(np.all(self.corners[..., 2] == self.plane))
-
-    @functools.cached_property
-    def spheres(self) -> tuple[FloatArray, FloatArray]:
-        """About the tiles: middles (tile, 3) and radii (tile,)."""
-        middle = self.corners.mean(axis=1)
-        return middle, np.linalg.norm(self.corners - middle[:, None], axis=-1).max(axis=1)
+LEAST_NODES = 1 << 22  # that trees of any image may have
+PAIRS = 1 << 18  # of traces and tiles at a time
 
 
 @dataclass(frozen=True)
@@ -171,63 +127,6 @@ class Forest:
         return lines
 
 
-def sheets(frame: Frame) -> list[Sheet]:
-    """The image's lines by the plane they lie on, or all of them where they lie on none."""
-    height, width = frame.shape
-    cuts = np.array([0, height])
-    if frame.straight and not np.any(frame.step[:, 2]):
-        steps = np.flatnonzero(np.diff(frame.first[:, 2])) + 1
-        if len(steps) < max(1, height // TILE_ROWS):
-            cuts = np.concatenate([[0], steps, [height]])
-    found = []
-    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
-        top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
-        part = None if frame.mask is None else np.ascontiguousarray(frame.mask[begin:end])
-        boxes = np.empty((len(top), len(left), 8, 3))
-        pixels = np.empty((len(top), len(left)), dtype=np.int64)
-        columns = np.minimum(frame.count, width - left)
-        for i, line in enumerate(top):
-            last = min(line + TILE_ROWS, end)
-            boxes[i] = _boxes(frame, int(line), int(last), left)
-            rows = None if part is None else part[line - begin : last - begin]
-            pixels[i] = (last - line) * columns if rows is None else np.add.reduceat(rows.sum(axis=0), left)
-        corners = boxes.reshape(-1, 8, 3)
-        low, high = corners[..., 2].min(), corners[..., 2].max()
-        if low == high:  # those above are those below
-            corners = np.ascontiguousarray(corners[:, :4])
-        planes = np.array([(low + high) / 2])
-        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
-    return found
-
-
-def _boxes(frame: Frame, line: int, last: int, left: npt.NDArray[np.int64]) -> FloatArray:
-    """Corners (block, 8, 3), the lower four first, of upright boxes about blocks of lines [line, last) from columns `left` on.
-
-    Whatever the order of the lines; along straight lines' mean direction, which fits lines of any.
-    """
-    width = frame.shape[1]
-    if not frame.straight:
-        turn = np.eye(2)
-        points = frame.points(line * width, last * width).reshape(last - line, width, 3)
-        low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
-    else:
-        step = frame.step[line:last]
-        ahead = step[:, :2].sum(axis=0)
-        size = float(np.hypot(*ahead))
-        ahead = ahead / size if size > 0 else np.array([1.0, 0.0])
-        turn = np.array([ahead, [-ahead[1], ahead[0]]])
-        columns = np.stack([left, np.minimum(left + frame.count, width) - 1])
-        ends = frame.first[line:last, None, None] + step[:, None, None] * columns[..., None]
-        ends[..., :2] = ends[..., :2] @ turn.T
-        low, high = ends.min(axis=1), ends.max(axis=1)
-    low, high = low.min(axis=0), high.max(axis=0)
-    out = np.empty((len(left), 8, 3))
-    for k in range(8):
-        out[:, k] = np.where([k & 1, k & 2, k & 4], high, low)
-    out[..., :2] = out[..., :2] @ turn
-    return out
-
-
 def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: float) -> FloatArray | None:
     """Heights of the planes that a sheet's pixels are read from by polynomials of height, or None where too many were needed.
 
@@ -262,7 +161,10 @@ def _fates(
     scene: Scene, order: npt.NDArray[np.int64], members: subapertures.Group, sheet: Sheet, layout: Layout, step: float,
     near: float,
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
-    """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted."""
+    """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted.
+
+    None is read across a beam's edge, where the sum has a step.
+    """
     corners, active = sheet.corners, sheet.active
     middle, radius = sheet.spheres
     ground = np.linalg.norm(middle[:, :2] - members.centre[:2], axis=1)
@@ -272,41 +174,66 @@ def _fates(
     heights = np.abs(members.centre[2] - corners[active][..., 2])
     least = max(float(np.hypot(subapertures.NEAR * members.extent, heights.max())), layout.clear)
     away = subapertures.slant(np.maximum(nearest, 0), float(heights.min()))
-    read = active & (away >= near) & (away - reach >= least) & (radius <= WIDE * ground)
+    read = active & (away >= near) & (away - reach >= least) & (radius <= WIDE * ground) & (scene.cos_beam <= -1)
     for plane in () if sheet.flat else sheet.planes:
         seen, beside = subapertures.onto(corners, members, plane)
         closest = np.linalg.norm(np.nan_to_num(seen[..., :2] - members.centre[:2]), axis=-1).min(axis=1)
         read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
-    some = scene.geometry[order[:: max(1, len(order) // 32)], None]
-    places = subapertures.phase_centres(scene.geometry[order], 0.0)
-    slack = float(np.max(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=0.0)) * max(1, len(order) // 32)
-    # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
-    out = [middle[:, k] - some[..., k] for k in range(3)]
-    there = np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-    back = np.sqrt(sum((middle[:, k] - some[..., 3 + k]) ** 2 for k in range(3)))
-    speed = np.linalg.norm(some[..., 6:9], axis=-1)
-    spread = 2 * (radius + slack)
-    low = ((there + back - spread - 2 * reach) / (scene.c + speed) - some[..., 12]) * scene.fs
-    high = ((there + back + spread + 2 * reach) / (scene.c - speed) - some[..., 12]) * scene.fs
-    heard = np.any((high >= 0) & (low <= scene.n_sample - 1), axis=0)
-    inside = np.all((low >= 0) & (high <= scene.n_sample - 1), axis=0)
-    if scene.cos_beam > -1:
-        lateral = radius + slack + 6 * layout.taps.reach * subapertures.WIDEST * ground
-        cosine = sum(out[k] * some[..., 9 + k] for k in range(3)) / np.maximum(there, 1e-9)
-        angle = np.arccos(np.clip(cosine, -1, 1)) + np.arcsin(np.minimum(1, lateral / np.maximum(there, 1e-9)))
-        inside &= np.all((angle <= np.arccos(scene.cos_beam)) & (lateral < there), axis=0)
-    read &= inside
-    return read, active & heard & ~read
+    some = np.flatnonzero(active)
+    inside, heard = _within(scene, order, middle[some], radius[some], reach)
+    read[some] &= inside
+    direct = np.zeros_like(active)
+    direct[some] = heard & ~read[some]
+    return read, direct
+
+
+def _within(
+    scene: Scene, order: npt.NDArray[np.int64], middle: FloatArray, radius: FloatArray, reach: float
+) -> tuple[BoolArray, BoolArray]:
+    """Which balls about pixels lie, with `reach` m around them, inside the records of all traces `order`, and which inside any.
+
+    Those that are sure to, by balls about all sensors; of the others some traces tell most, and all traces the rest.
+    """
+    g, last = scene.geometry[order], scene.n_sample - 1
+    boxes = [(g[:, k : k + 3].min(axis=0), g[:, k : k + 3].max(axis=0)) for k in (0, 3)]
+    path = sum(np.linalg.norm(middle - (low + high) / 2, axis=1) for low, high in boxes)
+    spread = 2 * (radius + reach) + sum(float(np.linalg.norm(high - low)) for low, high in boxes) / 2
+    speed = float(np.sqrt(np.max(np.sum(g[:, 6:9] ** 2, axis=1))))
+    earliest = ((path - spread) / (scene.c + speed) - g[:, 12].max()) * scene.fs
+    latest = ((path + spread) / (scene.c - speed) - g[:, 12].min()) * scene.fs
+    inside = (earliest >= 0) & (latest <= last)
+    heard = inside.copy()
+    unsure = np.flatnonzero(~inside & (latest >= 0) & (earliest <= last))
+    inside[unsure] = True
+    at_once = max(1, PAIRS // max(1, unsure.size))
+    some = np.unique(np.linspace(0, len(g) - 1, min(at_once, 32)).astype(np.int64))
+    for number in range(-1, -(-len(g) // at_once)):
+        left = unsure[inside[unsure] | ~heard[unsure]]
+        if not left.size:
+            break
+        t = (g[some] if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
+        # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
+        there, back = (np.sqrt(sum((middle[left, k] - t[..., i + k]) ** 2 for k in range(3))) for i in (0, 3))
+        speeds, widths = np.sqrt(np.sum(t[..., 6:9] ** 2, axis=-1)), 2 * (radius[left] + reach)
+        low = ((there + back - widths) / (scene.c + speeds) - t[..., 12]) * scene.fs
+        high = ((there + back + widths) / (scene.c - speeds) - t[..., 12]) * scene.fs
+        inside[left] &= np.all((low >= 0) & (high <= last), axis=0)
+        heard[left] |= np.any((high >= 0) & (low <= last), axis=0)
+    return inside & heard, heard
 
 
 def _cut(scene: Scene, length: float) -> tuple[list[npt.NDArray[np.int64]], FloatArray]:
     """Traces of each of the longest groups, and all phase centres."""
     order = np.flatnonzero(scene.heard & (scene.weights != 0))
-    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
-    centres = subapertures.phase_centres(scene.geometry, delay)
+    centres = subapertures.phase_centres(scene.geometry, _delay(scene))
     if not order.size:
         return [], centres
     return [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, length)], centres
+
+
+def _delay(scene: Scene) -> float:
+    """About what passes until an echo arrives, s, where receivers move."""
+    return (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
 
 
 def _step(scene: Scene, layout: Layout) -> float:
@@ -344,20 +271,19 @@ def prospect(
 
 
 def grow(
-    scene: Scene, frame: Frame, image: list[Sheet], layout: Layout, near: float, relief: float, compiled: bool = False
-) -> Forest | None:
-    """All trees of an image, without choices for the direct sums; None where no pixel can be read from one.
+    scene: Scene, frame: Frame, image: list[Sheet], layout: Layout, near: float, relief: float, least: Fraction, whole: bool,
+    compiled: bool,
+) -> Forest | None:  # fmt: skip
+    """All trees of an image, without choices for the direct sums; None where no pixel can be read from one (`whole`: not all),
+    or where trees have more nodes than the sum has terms.
 
     `image` : its sheets, which stay as they are; `relief` : relative error that reading pixels off their planes may cost;
-    `compiled` : whether C++ grows the trees.
+    `least` : nodes per sample at least; `compiled` : whether C++ grows the trees.
     """
     pieces, centres = _cut(scene, layout.length)
     if not pieces:
         return None
-    medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs)
     groups = [subapertures.group(part, centres) for part in pieces]
-    # one node spacing for all grids: neighbours along a parent's ray are neighbours on a child's
-    highest = 1e-9
     step = _step(scene, layout)
     found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]] = []
     for base in image:
@@ -367,9 +293,11 @@ def grow(
         if planes is None:
             return None
         base = replace(base, planes=planes)
-        fates = [
-            _fates(scene, piece, members, base, layout, step, near) for piece, (members, _) in zip(pieces, groups, strict=True)
-        ]
+        fates = []
+        for piece, (members, _) in zip(pieces, groups, strict=True):
+            fates.append(_fates(scene, piece, members, base, layout, step, near))
+            if whole and fates[-1][1].any():
+                return None
         for k, plane in enumerate(planes):
             sheet, seen = replace(base, plane=float(plane), number=k, trees=[]), []
             for (members, _), (read, direct) in zip(groups, fates, strict=True):
@@ -378,38 +306,67 @@ def grow(
                     corners = base.corners[read]
                     corners = corners if base.flat else subapertures.onto(corners, members, sheet.plane)[0]
                     reads = subapertures.seen_from(corners, members.centre)
-                    angles = reads.direction + np.linspace(reads.bearings.min(), reads.bearings.max(), 9)
-                    some = np.linspace(reads.grounds.min(), reads.grounds.max(), 4)
-                    highest = max(highest, subapertures.bands(members, scene.geometry, medium, sheet.plane, angles, some)[1])
                 seen.append((read, direct if k == 0 else np.zeros_like(direct), reads))  # once is enough
             found.append((sheet, seen))
-    # and as long as a table's intervals, of which there are a simple number to a sample
-    rate = native.simple_rate(scene.c * layout.taps.rate * layout.spare * highest / scene.fs)
+    if not any(reads is not None for _, seen in found for _, _, reads in seen):
+        return None
+    rate = max(least, _nodes_per_sample(scene, layout, 2 / scene.c * scene.band * scene.fs))
+    while True:
+        forest, highest = _plant(scene, frame, layout, pieces, groups, centres, found, rate, compiled)
+        if forest is None or highest <= rate:
+            return forest
+        rate = highest
+
+
+def _nodes_per_sample(scene: Scene, layout: Layout, along: float) -> Fraction:
+    """For the highest frequency along rays, cycles a metre: a simple number, as tables have as many intervals to a sample."""
+    return native.simple_rate(scene.c * layout.taps.rate * layout.spare * along / scene.fs)
+
+
+def _plant(
+    scene: Scene, frame: Frame, layout: Layout, pieces: list[npt.NDArray[np.int64]],
+    groups: list[tuple[subapertures.Group, FloatArray]], centres: FloatArray,
+    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]], rate: Fraction, compiled: bool,
+) -> tuple[Forest | None, Fraction]:  # fmt: skip
+    """Trees with `rate` nodes per sample, and how many their bands ask for.
+
+    One spacing for all grids: neighbours along a parent's ray are neighbours on a child's, and intervals of the tables.
+    """
     step = scene.c * rate.denominator / (2 * scene.fs * rate.numerator)
+    delay = _delay(scene)
+    medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs, delay)
     wider = copy.copy(scene)
     wider.first, wider.last = scene.first.copy(), scene.last.copy()
     through = everything = 0
-    for sheet, seen in found:
-        pixels = sheet.pixels
-        for piece, (members, along), (read, direct, reads) in zip(pieces, groups, seen, strict=True):
+    along = 0.0
+    left = max(LEAST_NODES, sum(len(piece) for piece in pieces) * scene.pixels)
+    grown = []
+    for base, seen in found:
+        sheet = replace(base, trees=[])
+        for piece, (members, places), (read, direct, reads) in zip(pieces, groups, seen, strict=True):
             if not (read.any() or direct.any()):
                 continue
             subtree = None
             if reads is not None:
                 subtree = subapertures.plant(
-                    members, along, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, step, layout.taps,
-                    layout.spare, compiled,
+                    members, places, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, step, layout.taps, left,
+                    compiled,
                 )  # fmt: skip
+                if subtree is None:
+                    return None, rate
+                left -= sum(level.nodes for level in subtree.levels)
+                along = max(along, subtree.along)
                 _widen(wider, subtree, step)
             traces = piece if subtree is None else subtree.traces
             sheet.trees.append(Tree(traces, read, direct, subtree, members))
             if sheet.number == 0:
-                through += len(traces) * int(pixels[read].sum())
-                everything += len(traces) * int(pixels[read | direct].sum())
-    grown = [sheet for sheet, _ in found if sheet.trees]
-    if not any(t.read.any() for sheet in grown for t in sheet.trees):
-        return None
-    return Forest(wider, frame, layout, rate, step, grown, None, through / max(everything, 1))  # type: ignore[arg-type]
+                through += len(traces) * int(sheet.pixels[read].sum())
+                everything += len(traces) * int(sheet.pixels[read | direct].sum())
+        if sheet.trees:
+            grown.append(sheet)
+    share = through / max(everything, 1)
+    forest = Forest(wider, frame, layout, rate, step, grown, None, share)  # type: ignore[arg-type]
+    return forest, _nodes_per_sample(scene, layout, along)
 
 
 def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
@@ -446,11 +403,3 @@ def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
         found.append((int(span[leaf]), int(span[last]), leaf, last))
         leaf = last
     return found
-
-
-def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool_]:
-    """The pixels of some tiles, (line, pixel)."""
-    height = sheet.end - sheet.begin
-    grid = tiles.reshape(-(-height // TILE_ROWS), -1)
-    full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : sheet.width]
-    return np.ascontiguousarray(full if sheet.mask is None else full & sheet.mask)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -19,10 +20,17 @@ from pysas.scene import Scene
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
 
+MERGE = 0.1  # of the error of delays in leaves, for each merge
+
+
+def _track(scene: Scene) -> FloatArray:
+    """Phase centres of the traces heard, seen from above, at transmission."""
+    return np.asarray(subapertures.phase_centres(scene.geometry[scene.heard], 0.0)[:, :2])
+
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:
     """Ground distances between some of the track and some of the image, m."""
-    places = scene.geometry[scene.heard, :2]
+    places = _track(scene)
     some = places[:: max(1, len(places) // 64)]
     pixels = _sample(frame, 24).reshape(-1, 3)
     return np.sqrt((some[:, :1] - pixels[:, 0]) ** 2 + (some[:, 1:] - pixels[:, 1]) ** 2).ravel()
@@ -36,7 +44,7 @@ def _sample(frame: Frame, most: int) -> FloatArray:
 
 def lengths(scene: Scene, away: FloatArray) -> list[float]:
     """Candidates for the longest groups: fractions of the ground distances `away` of the image, at most the track."""
-    places = scene.geometry[scene.heard, :2]
+    places = _track(scene)
     track = float(np.linalg.norm(np.ptp(places, axis=0)))
     limits = [float(np.quantile(away, q)) / subapertures.NEAR for q in (0.0, 0.1)]
     found = {min(limit * part, track + 1e-3) for limit in limits for part in (0.95, 0.5, 0.25, 0.12)}
@@ -57,7 +65,7 @@ class _View:
 
 def _views(scene: Scene, frame: Frame) -> list[_View]:
     """By candidate length, those that serve any pixel."""
-    places = scene.geometry[scene.heard, :2]
+    places = _track(scene)
     path = float(np.sum(np.linalg.norm(np.diff(places[:: max(1, len(places) // 256)], axis=0), axis=1)))
     centre = places[len(places) // 2]
     pixel = _sample(frame, 24)
@@ -123,21 +131,29 @@ def _seconds(scene: Scene, view: _View, layout: Layout, runs: str) -> float:
 
 
 def cleared(scene: Scene, layout: Layout, height: float, error: float) -> Layout:
-    """A layout with the slant range that its nodes must have, whose sensors stand at most `height` up."""
-    extent = layout.length / math.prod(layout.fans)
-    return replace(layout, clear=clear(scene, height, extent, layout.taps.rate, error))
+    """A layout with the slant range that its nodes must have, whose sensors stand at most `height` up.
+
+    `error` : for the delays along leaves' rays; MERGE of it for each merge, whose children lie off their parent's centre.
+    A tree's groups lie off the longest one's centre themselves.
+    """
+    heard = scene.geometry[scene.heard]
+    baseline = float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1)))
+    extents = layout.length / np.cumprod([1, *layout.fans])
+    least = _clear(scene, height, (extents[-1] + baseline) / 2, layout.taps.rate, error) + (layout.length - extents[-1]) / 2
+    for extent, part in itertools.pairwise(extents):
+        away = _clear(scene, height, (extent - part) / 2, layout.taps.rate, MERGE * error)
+        least = max(least, away + (layout.length - extent) / 2)
+    return replace(layout, clear=least)
 
 
-def clear(scene: Scene, height: float, extent: float, rate: float, error: float) -> float:
-    """Slant range from which the delay polynomials of a leaf's rays hold to within `error`, for leaves of `extent` m at most
-    `height` up.
+def _clear(scene: Scene, height: float, reach: float, rate: float, error: float) -> float:
+    """Slant range from which polynomials of degree 4 along 64 nodes of a ray hold to within `error` rad for the two-way delay
+    of what lies `reach` m off the centre, the centre's own taken away, at most `height` up.
 
     Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where x/r has
     the components sqrt(1 - (height/r)^2) = 1 - sum a_k (height/r)^2k along the ground, a_k > 0, and height/r. Polynomials
     through 5 Chebyshev nodes of |s| <= h are wrong by at most h^5/(5! 2^4) of the fifth derivative, on both ways.
     """
-    heard = scene.geometry[scene.heard]
-    reach = extent / 2 + float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1))) / 2
     half = 31.5 * scene.c / (4 * scene.band * scene.fs * rate)
     k = np.arange(1, 400)
     powers = np.cumprod(np.concatenate([[0.5], (k[:-1] - 0.5) / (k[:-1] + 1)])) * np.prod(2 * k[:, None] + np.arange(5), axis=1)

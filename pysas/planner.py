@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,15 +19,16 @@ import numpy.typing as npt
 
 from pysas import _checks, bounds, costs, engine, layouts, view_angles
 from pysas._checks import ComplexArray
-from pysas.choices import LONGEST_BLOCK, SHARE_PHASE, choose, choose_delay, even_split
+from pysas.choices import LONGEST_BLOCK, SHARE_PHASE, choose, choose_delay, choose_for_leaves, even_split
 from pysas.costs import forest_seconds, prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import NODES, native, tree
-from pysas.forest import Forest, Layout, Sheet, grow, prospect, sheets
+from pysas.forest import Forest, Layout, grow, prospect
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.plans import Choices, Plan
 from pysas.scene import Scene
+from pysas.tiles import Sheet, sheets
 
 if TYPE_CHECKING:
     from pysas import backprojection
@@ -46,6 +48,7 @@ TAPS = (
     (8, 1.75, 10),
 )  # fmt: skip
 SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band overlaps a little
+FINEST = 8  # nodes per sample, at most
 LONGER = "a tree would take longer"
 FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
 
@@ -294,7 +297,8 @@ def _site(
     for fans in FANS:
         for width, rate, half in TAPS:
             taps = tree.taps(width, rate, half)
-            if bounds.tree_error(taps, len(fans) + 1) <= tol - share - relief:
+            positions = layouts.MERGE * SHARE_PHASE * share * len(fans)
+            if bounds.tree_error(taps, len(fans) + 1) <= tol - share - relief - positions:
                 kinds.append((fans, taps))
                 break
     if not kinds:
@@ -314,21 +318,31 @@ def _site(
 
 def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
     """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all)."""
+    error = SHARE_PHASE * site.share
 
-    def grown(layout: Layout) -> Forest | None:
-        layout = layouts.cleared(scene, layout, site.height, SHARE_PHASE * site.share)
-        return grow(scene, site.frame, site.image, layout, site.near, site.relief, backend == "cpp")
+    def grown(layout: Layout, least: Fraction) -> Forest | None:
+        layout = layouts.cleared(scene, layout, site.height, error)
+        return grow(scene, site.frame, site.image, layout, site.near, site.relief, least, whole, backend == "cpp")
 
     layout = site.layout
-    forest = grown(layout)
+    forest = grown(layout, Fraction(0))
     # shorter groups see more as from a line, and nearer pixels from afar
-    while (forest is None or (whole and forest.share < 1)) and layout.length > site.layout.length / 8:
+    while forest is None and layout.length > site.layout.length / 8:
         layout = dataclasses.replace(layout, length=layout.length * 0.7)
-        forest = grown(layout)
-    if forest is None or not any(t.read.any() for t in forest.trees):
+        forest = grown(layout, Fraction(0))
+    choices = None
+    while forest is not None:
+        choices = choose_for_leaves(forest.scene, site.share, backend, SHARE_ROUNDING, forest.rate)
+        if choices is not None:
+            break
+        # near a record's end tables hold all frequencies that samples can: their intervals must be shorter for that
+        forest = grown(layout, 2 * forest.rate) if forest.rate < FINEST else None
+    if forest is None or choices is None:
         return None, "no pixel far enough from all groups of pings, or too steep a relief"
-    choices = choose(forest.scene, site.share, backend, SHARE_ROUNDING, forest.rate)
-    errors = choices.errors | {"sub-images": bounds.tree_error(layout.taps, len(layout.fans) + 1)}
+    merges = len(layout.fans)
+    errors = choices.errors | {"sub-images": bounds.tree_error(layout.taps, merges + 1)}
+    if merges:
+        errors["positions"] = layouts.MERGE * error * merges
     if not all(sheet.flat for sheet in forest.sheets):
         errors["relief"] = site.relief
     forest.choices = dataclasses.replace(choices, errors=errors)

@@ -7,6 +7,7 @@ longest groups: the image's tiles). See docs/ffbp.md.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +21,25 @@ from pysas.engine.tree import IntArray, SubImages, Taps
 SLACK = 80  # columns behind a row's last node that a vector may touch
 WIDEST = 0.1  # rad between rays, at most
 NEAR = 1.15  # a group's centre stays this many lengths away from what is read from it
+APART = 0.2  # rad between bearings at which a group's band is looked at, at most
+DIRECTIONS = 8  # of half a turn, in which the outermost sensors are looked for
+SPARE_ACROSS = 1.02  # of the band across rays: what is left to bearings and traces in between
+# Where the frequency across rays turns, at broadside, the spectrum goes on beyond the highest of them as Airy's function
+# does, in units of the cube root of half its second derivative. OVERLAP (by taps) such units are sampled as well, fewer
+# where the filter with its taps is too short to see them.
+OVERLAP, OVERLAP_REACH = {6: 3.0, 8: 4.3}, 1.6
 BoolArray = npt.NDArray[np.bool_]
+Ends = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Medium:
-    """Sound speed (m/s), carrier and bandwidth (Hz)."""
+    """Sound speed (m/s), carrier and bandwidth (Hz); about what passes until an echo arrives where receivers move, s."""
 
     c: float
     fc: float
     bandwidth: float
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,40 +104,83 @@ def split(parent: Group, along: FloatArray, fan: int) -> list[IntArray]:
     return [parent.traces[number == i] for i in range(fan) if np.any(number == i)]
 
 
-def bands(
-    members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: FloatArray, grounds: FloatArray
-) -> tuple[float, float]:
-    """Highest frequencies of a group's sub-image: cycles a radian and cycles a metre of slant range.
+@dataclass(frozen=True)
+class Bands:
+    """Highest frequencies of a group's sub-image: rad a radian across its rays, and how fast that changes (second derivative),
+    cycles a metre of slant range along them."""
+
+    across: float
+    bend: float
+    along: float
+
+
+def _outermost(members: Group, geometry: FloatArray, delay: float) -> FloatArray:
+    """Traces at a group's ends in all directions, of the places that sum and difference of its sensors take.
+
+    All traces are looked at: one that differs from its neighbours may be the outermost.
+    """
+    g = geometry[members.traces]
+    if len(g) <= 4:
+        return g
+    angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    axes = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [[0.0, 0.0, 1.0]]])
+    tx, rx = g[:, 0:3] - members.centre, g[:, 3:6] + delay * g[:, 6:9] - members.centre
+    places = [(tx + rx) @ axes.T, (tx - rx) @ axes.T]
+    return np.asarray(g[np.unique([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)])])
+
+
+def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Bands:
+    """Of a group over bearings and ground distances, all its traces looked at.
 
     A trace's echo of base-band frequency f at two-way time tau varies as exp(2j pi ((fc + f) tau - fc tau_0)), tau_0 that of
-    the centre: its phase's gradient, with f = +-B/2, at the places given.
+    the centre: its phase's gradient, with f = +-B/2. Between the bearings looked at it exceeds what is found there by at most
+    an eighth of its second derivative times their distance squared.
     """
-    geometry = geometry[members.traces]
-    if len(geometry) > 16:  # extremes along and across
-        offset = phase_centres(geometry, 0.0) - members.centre
-        axes = np.linalg.eigh(np.cov(offset, rowvar=False))[1]
-        along = offset @ axes
-        even = np.arange(0, len(along), max(1, len(along) // 6))
-        picked = np.unique(np.concatenate([along.argmin(axis=0), along.argmax(axis=0), even]))
-        geometry = geometry[picked]
-    angle, ground = (a.ravel() for a in np.meshgrid(angles, grounds, indexing="ij"))
+    g = _outermost(members, geometry, medium.delay)[:, None, None]
+    count = max(5, math.ceil(min((angles[1] - angles[0]) / APART, 64.0)) + 1)
+    angle, ground = np.linspace(*angles, count), np.linspace(*grounds, 3)[:, None]
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
-    place = np.array([members.centre[0], members.centre[1], plane]) + ground[:, None] * out
-    slope = np.zeros((len(geometry), len(place), 3))
-    for sensor in (geometry[:, 0:3], geometry[:, 3:6]):
-        away = place - sensor[:, None]
-        slope += away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
-    speed = np.linalg.norm(geometry[:, 6:9], axis=1)[:, None]
+    place = np.array([members.centre[0], members.centre[1], plane]) + ground[..., None] * out  # (ground, angle, 3)
+    there, back = place - g[..., 0:3], place - g[..., 3:6]
+    way, speed = np.linalg.norm(there, axis=-1, keepdims=True), np.linalg.norm(g[..., 6:9], axis=-1)
+    back = back - (way + np.linalg.norm(back, axis=-1, keepdims=True)) / medium.c * g[..., 6:9]
+    slope = there / np.maximum(way, 1e-9) + back / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
     slope /= (medium.c - speed)[..., None]
-    height = members.centre[2] - plane
-    radial, lateral = np.sum(slope * out, axis=-1), np.sum(slope * side, axis=-1) * ground
-    radial *= np.sqrt(ground**2 + height**2) / np.maximum(ground, 1e-9)  # along slant range
+    lateral = np.sum(slope * side, axis=-1) * ground
+    radial = np.sum(slope * out, axis=-1) * slant(ground, members.centre[2] - plane) / np.maximum(ground, 1e-9)
+    bend = float(np.max(np.abs(np.diff(lateral, 2, axis=-1))))
     half = medium.bandwidth / 2
-    return (
-        float(np.max(np.abs(lateral))) * (medium.fc + half),
-        float(np.max(half * np.abs(radial) + medium.fc * np.abs(radial - 2 / medium.c))),
-    )
+    turns = 2 * np.pi * (medium.fc + half)
+    along = float(np.max(half * np.abs(radial) + medium.fc * np.abs(radial - 2 / medium.c)))
+    step = (angles[1] - angles[0]) / (count - 1)
+    return Bands(turns * (float(np.max(np.abs(lateral))) + bend / 8), turns * bend / step**2, along)
+
+
+def spacing(
+    members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, slants: Ends, step: float, taps: Taps
+) -> tuple[float, float]:
+    """Between rays that serve reads at bearings and slant ranges, rad, and the highest frequency along them, cycles a metre.
+
+    Nodes beside the reads count too, as far as taps and filter reach, so that the spacing depends on itself: each second try
+    is safe.
+    """
+    height = members.centre[2] - plane
+    near, inner = (float(ground(np.array(slants[0] - more), height)) for more in (0, taps.reach * step))
+    grounds = max(inner, near / 2), float(ground(np.array(slants[1] + taps.reach * step), height))
+    beam = outer = along = 0.0
+    for attempt in range(4):
+        found = bands(members, geometry, medium, plane, (angles[0] - outer, angles[1] + outer), grounds)
+        sway, across = float(np.cbrt(found.bend / 2)), max(found.across, 1e-9)
+        seen = OVERLAP_REACH * taps.reach * sway * min(WIDEST, np.pi / (taps.rate * across))
+        more = OVERLAP[taps.width] * min(1.0, seen) * sway
+        before, beam = beam, min(WIDEST, np.pi / (taps.rate * (SPARE_ACROSS * across + more)))
+        if attempt % 2:
+            along = max(along, found.along)
+        if attempt == 1 and beam >= 0.97 * before:
+            break
+        outer = taps.reach * beam
+    return float(beam), along
 
 
 def slant(ground: FloatArray, height: float) -> FloatArray:
@@ -170,6 +223,7 @@ class _Node:
     begin: npt.NDArray[np.int64]
     end: npt.NDArray[np.int64]
     children: list[_Node]
+    highest: float  # frequency along any ray, its children's too
 
     def outline(self, step: float) -> tuple[FloatArray, FloatArray]:
         """Angles (ray,) and slant ranges (ray, 2) of the raw nodes' ends."""
@@ -211,34 +265,39 @@ def seen_from(corners: FloatArray, centre: FloatArray) -> Readings:
 
 def _tree(
     members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
-    plane: float, angle: float, bearings: FloatArray, slants: FloatArray, step: float, taps: Taps, spare: float,
-) -> _Node:  # fmt: skip
-    """A node whose reads lie at bearings (n, 2) from `angle` and slant ranges (n, 2), and all below it."""
-    height = members.centre[2] - plane
+    plane: float, angle: float, bearings: FloatArray, slants: FloatArray, step: float, taps: Taps, left: int,
+) -> _Node | None:  # fmt: skip
+    """A node whose reads lie at bearings (n, 2) from `angle` and slant ranges (n, 2), and all below it; None where these have
+    more than `left` nodes."""
     low, high = float(bearings.min()), float(bearings.max())
-    near, far = ground(np.array([slants.min(), slants.max()]), height)
-    lateral, _ = bands(
-        members, geometry, medium, plane, angle + np.linspace(low, high, 9), np.linspace(near, far, 3)
-    )  # fmt: skip
-    beam = min(WIDEST, 1 / (2 * taps.rate * spare * max(lateral, 1e-9)))
+    beam, highest = spacing(
+        members, geometry, medium, plane, (angle + low, angle + high), (float(slants.min()), float(slants.max())), step, taps
+    )
+    if (high - low) / beam * (slants.max() - slants.min()) / step > left:
+        return None
     first, begin, end = _cover(bearings / beam, slants / step, taps)
-    node = _Node(members, along, angle, beam, first, begin, end, [])
+    node = _Node(members, along, angle, beam, first, begin, end, [], highest)
+    left -= int(np.sum(end - begin))
+    if left < 0:
+        return None
     if fans:
         rays, ends = node.outline(step)
-        away = ground(ends, height)
+        away = ground(ends, members.centre[2] - plane)
         for traces in split(members, along, fans[0]):
-            child, place = group(traces, centres)
-            offset = members.centre[:2] - child.centre[:2]
+            part, place = group(traces, centres)
+            offset = members.centre[:2] - part.centre[:2]
             ahead = offset[0] * np.cos(rays) + offset[1] * np.sin(rays)
             aside = offset[1] * np.cos(rays) - offset[0] * np.sin(rays)
-            theirs = np.hypot(away + ahead[:, None], aside[:, None])
-            bearing = (rays - angle)[:, None] + np.arcsin(aside[:, None] / theirs)
-            node.children.append(
-                _tree(
-                    child, place, fans[1:], geometry, centres, medium, plane, angle, np.sort(bearing, axis=1),
-                    np.sort(slant(theirs, child.centre[2] - plane), axis=1), step, taps, spare,
-                )
+            theirs = np.maximum(np.hypot(away + ahead[:, None], aside[:, None]), 1e-9)
+            bearing = (rays - angle)[:, None] + np.arcsin(np.clip(aside[:, None] / theirs, -1, 1))
+            child = _tree(
+                part, place, fans[1:], geometry, centres, medium, plane, angle, np.sort(bearing, axis=1),
+                np.sort(slant(theirs, part.centre[2] - plane), axis=1), step, taps, left,
             )  # fmt: skip
+            if child is None:
+                return None
+            node.children.append(child)
+            node.highest = max(node.highest, child.highest)
     return node
 
 
@@ -263,24 +322,32 @@ def _level(nodes: list[_Node], spans: list[int], plane: float, step: float) -> S
 
 @dataclass(frozen=True)
 class Subtree:
-    """One of the longest groups: its traces in the leaves' order, and levels, leaves first."""
+    """One of the longest groups: its traces in the leaves' order, levels, leaves first, and the highest frequency along any of
+    their rays (cycles a metre)."""
 
     traces: IntArray
     levels: tuple[SubImages, ...]
+    along: float
 
 
 def plant(
     members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
-    plane: float, reads: Readings, step: float, taps: Taps, spare: float, compiled: bool = False,
-) -> Subtree:  # fmt: skip
-    """The tree below one of the longest groups, for what is read from it; `compiled` by C++, an order of magnitude faster."""
+    plane: float, reads: Readings, step: float, taps: Taps, left: int, compiled: bool = False,
+) -> Subtree | None:  # fmt: skip
+    """The tree below one of the longest groups, for what is read from it; `compiled` by C++, an order of magnitude faster.
+
+    None where it would have more than about `left` nodes.
+    """
     angle, bearings, grounds = reads.direction, reads.bearings, reads.grounds
     if compiled:
-        sound = np.array([medium.c, medium.fc, medium.bandwidth])
+        sound = np.array([medium.c, medium.fc, medium.bandwidth, medium.delay])
         ends = np.concatenate([bearings, grounds], axis=1)
-        return Subtree(*growth.plant(geometry, centres, members.traces, sound, fans, taps, spare, plane, angle, ends, step))
+        found = growth.plant(geometry, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
+        return None if found is None else Subtree(*found)
     slants = slant(grounds, members.centre[2] - plane)
-    root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, spare)
+    root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, left)
+    if root is None:
+        return None
     levels = [[root]]
     while levels[-1][0].children:
         levels.append([child for node in levels[-1] for child in node.children])
@@ -289,4 +356,4 @@ def plant(
         below = [len(node.children) if depth + 1 < len(levels) else len(node.members.traces) for node in nodes]
         built.append(_level(nodes, below, plane, step))
     traces = np.concatenate([node.members.traces for node in levels[-1]])
-    return Subtree(traces, tuple(built[::-1]))
+    return Subtree(traces, tuple(built[::-1]), root.highest)

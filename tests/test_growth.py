@@ -1,11 +1,13 @@
 """Trees grown in C++ are those grown in Python: two programs of one geometry, each the other's check."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from test_factorised import CASES, TRACKS, plane, tracked
 
 import pysas
-from pysas import forest
+from pysas import forest, tiles
 
 pytestmark = pytest.mark.cpp
 SCENES = CASES | {name: (lambda name=name: tracked(TRACKS[name]), plane(130, 100, 26.0)) for name in TRACKS}
@@ -29,7 +31,8 @@ def test_both_builders_grow_the_same_trees(name, tol):
     plan = pysas.plan(make(), grid, tol, "ffbp", backend="cpp", fallback=False)
     near, layout, frame = plan.choices.near, plan.forest.layout, plan.forest.frame
     one, other = (
-        forest.grow(plan.scene, frame, forest.sheets(frame), layout, near, 0.2 * tol, compiled) for compiled in (False, True)
+        forest.grow(plan.scene, frame, tiles.sheets(frame), layout, near, 0.2 * tol, Fraction(0), True, compiled)
+        for compiled in (False, True)
     )
     assert one.rate == other.rate and one.share == other.share == 1 and len(one.trees) == len(other.trees)
     assert np.array_equal(one.scene.first, other.scene.first) and np.array_equal(one.scene.last, other.scene.last)

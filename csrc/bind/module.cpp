@@ -294,23 +294,24 @@ py::array_t<T> array(const std::vector<T>& values) {
 
 py::tuple plant_group(const Array<double>& geometry, const Array<double>& centres, const Array<std::int64_t>& traces,
                       const Array<double>& medium, const std::vector<int>& fans, int taps, int half, double rate,
-                      double spare, double plane, double direction, const Array<double>& readings, double step) {
+                      double plane, double direction, const Array<double>& readings, double step, std::int64_t left) {
     static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Point) == 3 * sizeof(double) &&
                       sizeof(Reading) == 4 * sizeof(double),
                   "rows of arrays are read as these structs");
     if (geometry.ndim() != 2 || geometry.shape(1) != 15 || centres.size() != 3 * geometry.shape(0) ||
-        medium.size() != 3 || readings.ndim() != 2 || readings.shape(1) != 4 || readings.shape(0) == 0)
+        medium.size() != 4 || readings.ndim() != 2 || readings.shape(1) != 4 || readings.shape(0) == 0)
         throw py::value_error("a group: rows of geometry, centres, readings");
     Geometry survey{reinterpret_cast<const Trace*>(geometry.data()), nullptr, geometry.shape(0), {}, 0, 0};
     survey.model.c = medium.at(0);
     survey.model.fc = medium.at(1);
     survey.model.fs = medium.at(2);  // the bandwidth, whose half is the band
     survey.band = 0.5;
+    survey.delay = medium.at(3);
     const auto* point = reinterpret_cast<const Point*>(centres.data());
     const std::vector<Point> places(point, point + geometry.shape(0));
     const auto* reading = reinterpret_cast<const Reading*>(readings.data());
     std::vector<Reading> reads(reading, reading + readings.shape(0));
-    Layout layout{0, fans, {}, spare, 0};
+    Layout layout{0, fans, {}, 1, 0};
     layout.taps.rate = rate;
     layout.taps.taps.count = taps;
     layout.taps.taps.half = half;
@@ -318,13 +319,12 @@ py::tuple plant_group(const Array<double>& geometry, const Array<double>& centre
     FlatLevels flat;
     {
         const py::gil_scoped_release gil;
-        std::int64_t left = std::int64_t{1} << 60;
         const Group group = make_group(Numbers(traces.data(), traces.data() + traces.size()), places);
         grown = plant(group, survey, places, layout, plane, direction, std::move(reads), step, left);
         flat = flatten(grown.levels);
     }
     return py::make_tuple(array(grown.traces), array(flat.count), array(flat.place), array(flat.shape),
-                          array(flat.range), array(flat.span));
+                          array(flat.range), array(flat.span), grown.along);
 }
 
 std::string isa_of(const std::string& name) { return kernels_for(name).name; }
@@ -370,7 +370,7 @@ PYBIND11_MODULE(_core, m) {
           "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
     m.def("plant", &plant_group, "geometry"_a, "centres"_a, "traces"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
-          "rate"_a, "spare"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "The tree below a group of traces.");
+          "rate"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "image"_a, "threads"_a, "isa"_a,
           "tick"_a, "Add a batch's terms to an image; returns how many.");

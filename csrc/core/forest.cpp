@@ -40,15 +40,7 @@ struct Planter {
     // Which tiles are read from a group's sub-image, and which are summed directly.
     Fates fates(const Group& group, const Sheet& sheet, double step) const {
         const Model& model = geometry.model;
-        const std::size_t tiles = sheet.pixels.size(), count = group.traces.size();
-        const std::size_t apart = std::max<std::size_t>(1, count / 32);
-        // traces between those that are looked at are no further from one of them than this
-        double slack = 0;
-        for (std::size_t i = 1; i < count; ++i) {
-            const auto a = static_cast<std::size_t>(group.traces[i - 1]), b = static_cast<std::size_t>(group.traces[i]);
-            slack = std::max(slack, length(still(b) - still(a)));
-        }
-        slack *= static_cast<double>(apart);
+        const std::size_t tiles = sheet.pixels.size();
         // nodes that a read depends on lie this much further out or in, and to the sides
         const double taps = layout.taps.reach();
         const double reach = static_cast<double>(layout.fans.size() + 1) * (taps + 4) * step;
@@ -64,23 +56,19 @@ struct Planter {
             for (int k = 0; k < 4; ++k) radius = std::max(radius, length(corner[k] - middle));
             const double ground = std::hypot(middle.x - group.centre.x, middle.y - group.centre.y);
             const double away = slant_of(std::max(ground - radius, 0.0), height);
-            bool read = away >= near && away - reach >= least && radius <= wide * ground, heard = false;
-            for (std::size_t i = 0; i < count; i += apart) {
-                const Trace& trace = geometry.traces[group.traces[i]];
-                const Point out_there = middle - point(trace.tx);
-                const double there = length(out_there), back = length(middle - point(trace.rx));
-                const double speed = speed_of(trace), spread = 2 * (radius + slack);
-                const double low = ((there + back - spread - 2 * reach) / (model.c + speed) - trace.t0) * model.fs;
-                const double high = ((there + back + spread + 2 * reach) / (model.c - speed) - trace.t0) * model.fs;
+            // across a beam's edge the sum has a step
+            bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
+            bool heard = false;
+            const double spread = 2 * (radius + reach);
+            for (const std::int64_t i : group.traces) {
+                if (heard && !read) break;
+                const Trace& trace = geometry.traces[i];
+                const double path = length(middle - point(trace.tx)) + length(middle - point(trace.rx));
+                const double speed = speed_of(trace);
+                const double low = ((path - spread) / (model.c + speed) - trace.t0) * model.fs;
+                const double high = ((path + spread) / (model.c - speed) - trace.t0) * model.fs;
                 heard = heard || (high >= 0 && low <= model.last);
                 read = read && low >= 0 && high <= model.last;
-                if (model.cos_beam > -1 && read) {
-                    const double lateral = radius + slack + 6 * taps * widest_beam * ground;
-                    const double cosine = dot(out_there, point(trace.boresight)) / std::max(there, 1e-9);
-                    const double angle = std::acos(std::clamp(cosine, -1.0, 1.0)) +
-                                         std::asin(std::min(1.0, lateral / std::max(there, 1e-9)));
-                    read = angle <= std::acos(model.cos_beam) && lateral < there;
-                }
             }
             out.read[tile] = read;
             out.direct[tile] = heard && !read;
@@ -117,11 +105,6 @@ struct Planter {
                 forest.last[number] = std::max(forest.last[number], static_cast<std::int64_t>(to));
             }
         }
-    }
-
-    // The phase centre of a trace whose receiver does not move.
-    Point still(std::size_t trace) const {
-        return 0.5 * (point(geometry.traces[trace].tx) + point(geometry.traces[trace].rx));
     }
 };
 
@@ -183,9 +166,9 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
                 close = std::min(close, r.distance.low);
                 far = std::max(far, r.distance.high);
             }
-            const Bands bands = bands_of(group, geometry, sheet.plane, spread(direction + left, direction + right, 9),
-                                         spread(close, far, 4));
-            highest = std::max(highest, bands.along);
+            highest = std::max(
+                highest,
+                bands_of(group, geometry, sheet.plane, {direction + left, direction + right}, {close, far}).along);
         }
     }
     // and as long as a table's intervals, of which there are a simple number to a sample
@@ -197,7 +180,8 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
     const auto count = static_cast<std::size_t>(geometry.count);
     out.first.assign(count, static_cast<std::int64_t>(model.last));
     out.last.assign(count, 0);
-    double through = 0, everything = 0;
+    double through = 0, everything = 0, along = 0;
+    std::int64_t room = most;
     for (std::size_t s = 0; s < sheets.size(); ++s) {
         const Sheet& sheet = sheets[s];
         for (std::size_t g = 0; g < groups.size(); ++g) {
@@ -214,8 +198,9 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
                 double direction = 0;
                 auto readings = seen_from(groups[g].centre, sheet.corners, tiles, direction);
                 Subtree below = plant(groups[g], geometry, centres, layout, sheet.plane, direction, std::move(readings),
-                                      out.step, most);
+                                      out.step, room);
                 if (below.levels.empty()) return {};
+                along = std::max(along, below.along);
                 tree.traces = std::move(below.traces);
                 tree.levels = std::move(below.levels);
                 planter.widen(tree, out.step, out);
@@ -227,6 +212,12 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
         }
     }
     if (through == 0) return {};
+    // the groups' parts, and nodes beside what is read, may ask for more
+    int phases = 0, per_samples = 1;
+    simple_rate(model.c * layout.taps.rate * layout.spare * along / model.fs, phases, per_samples);
+    if (phases == 0) return {};
+    const double needed = static_cast<double>(phases) / per_samples;
+    if (needed * out.per_samples > out.phases * (1 + 1e-9)) return grow(geometry, sheets, layout, near, needed, most);
     out.share = through / everything;
     return out;
 }

@@ -21,6 +21,7 @@ struct Choice {
 };
 constexpr Choice choices[] = {{6, 1.2, 8},  {6, 1.3, 8},   {6, 1.4, 8},  {6, 1.45, 8}, {6, 1.5, 8},
                               {8, 1.4, 10}, {8, 1.45, 10}, {8, 1.5, 10}, {8, 1.6, 10}, {8, 1.75, 10}};
+constexpr double merge = 0.1;   // of the error of delays in leaves, for each merge
 constexpr double spare = 1.05;  // sampling beyond the band's own limit, which a short group's band overlaps a little
 const std::vector<std::vector<int>> fans = {{},        {2},       {4},          {4, 2},      {4, 4},
                                             {4, 4, 2}, {4, 4, 4}, {4, 4, 4, 2}, {4, 4, 4, 4}};
@@ -141,7 +142,9 @@ class Estimate {
 
   private:
     static Point above(const Point& p) { return {p.x, p.y, 0}; }
-    Point place(std::int64_t trace) const { return point(geometry_.traces[trace].tx); }
+    Point place(std::int64_t trace) const {
+        return 0.5 * (point(geometry_.traces[trace].tx) + point(geometry_.traces[trace].rx));
+    }
     Point pixel(std::int64_t line, double column) const {
         return point(frame_.first + 3 * line) + column * point(frame_.step + 3 * line);
     }
@@ -154,23 +157,16 @@ class Estimate {
     std::vector<Point> places_;
 };
 
-}  // namespace
-
+// Slant range from which polynomials of degree 4 along 64 nodes of a ray hold to within `error` rad for the two-way
+// delay of what lies `reach` m off the centre, the centre's own taken away.
+//
 // Along a ray of constant bearing a sensor at p from the centre is r - p.x/r + (p^2 - (p.x/r)^2)/2r + ... away, where
 // x/r has the components sqrt(1 - (h/r)^2) = 1 - sum a_k (h/r)^2k along the ground, a_k > 0, and h/r, at a height h.
 // Polynomials through 5 Chebyshev nodes of |s| <= half are wrong by at most half^5/(5! 2^4) of the fifth derivative, on
 // both ways.
-double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol) {
+double clear_of(const Geometry& geometry, double height, double reach, double rate, double error) {
     const Model& model = geometry.model;
-    double height = 0, apart = 0, extent = layout.length;
-    for (std::int64_t i = 0; i < geometry.count; ++i) {
-        const Point tx = point(geometry.traces[i].tx), rx = point(geometry.traces[i].rx);
-        height = std::max(height, std::max(std::abs(tx.z - frame.first[2]), std::abs(rx.z - frame.first[2])));
-        apart = std::max(apart, length(tx - rx));
-    }
-    for (const int fan : layout.fans) extent /= fan;
-    const double reach = extent / 2 + apart / 2;
-    const double half = 31.5 * model.c / (4 * geometry.half_band() * layout.taps.rate);
+    const double half = 31.5 * model.c / (4 * geometry.half_band() * rate);
     std::vector<double> series;
     double a = 0.5;
     for (int k = 1; k < 400; ++k) {
@@ -185,7 +181,7 @@ double clearance(const Geometry& geometry, const Frame& frame, const Layout& lay
         const double fifth =
             reach * lateral / std::pow(slant, 5) + 120 * reach * (height + 2 * reach) / std::pow(slant, 6);
         const double wrong = 2 * 2 * pi * model.fc / model.c * fifth * std::pow(half, 5) / 1920;
-        return wrong <= share_drift * share_leaves * tol;
+        return wrong <= error;
     };
     double low = std::max(height, 1e-3) * (1 + 1e-6), high = 1e3 * (height + reach + half);
     if (!holds(high)) return std::numeric_limits<double>::infinity();
@@ -195,6 +191,28 @@ double clearance(const Geometry& geometry, const Frame& frame, const Layout& lay
         (holds(middle) ? high : low) = middle;
     }
     return high;
+}
+
+}  // namespace
+
+// The same as layouts.cleared in Python.
+double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol) {
+    double height = 0, apart = 0, extent = layout.length;
+    for (std::int64_t i = 0; i < geometry.count; ++i) {
+        const Point tx = point(geometry.traces[i].tx), rx = point(geometry.traces[i].rx);
+        height = std::max(height, std::max(std::abs(tx.z - frame.first[2]), std::abs(rx.z - frame.first[2])));
+        apart = std::max(apart, length(tx - rx));
+    }
+    for (const int fan : layout.fans) extent /= fan;
+    const double error = share_drift * share_leaves * tol, off = (layout.length - extent) / 2;
+    double out = clear_of(geometry, height, (extent + apart) / 2, layout.taps.rate, error) + off;
+    extent = layout.length;
+    for (const int fan : layout.fans) {
+        const double away = clear_of(geometry, height, extent * (1 - 1.0 / fan) / 2, layout.taps.rate, merge * error);
+        out = std::max(out, away + (layout.length - extent) / 2);
+        extent /= fan;
+    }
+    return out;
 }
 
 std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
@@ -208,7 +226,8 @@ std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame
         const TapDesign* taps = nullptr;
         for (std::size_t i = 0; i < std::size(choices) && !taps; ++i) {
             if (i == designs.size()) designs.push_back(design_taps(choices[i].count, choices[i].rate, choices[i].half));
-            if (tree_error(designs[i], stages) <= (1 - share_leaves - 0.05) * tol) taps = &designs[i];
+            const double merges = merge * share_drift * share_leaves * static_cast<double>(parts.size());
+            if (tree_error(designs[i], stages) <= (1 - share_leaves - 0.05 - merges) * tol) taps = &designs[i];
         }
         if (!taps) continue;
         for (const double longest : lengths) {

@@ -12,6 +12,13 @@ namespace {
 
 constexpr std::int64_t slack = 80;     // columns behind a row's last node that a vector may touch
 constexpr double farthest = 1U << 30;  // number of a node or a ray
+constexpr double apart = 0.2;          // rad between bearings at which a group's band is looked at, at most
+constexpr double spare_across = 1.02;  // of the band across rays: what is left to bearings and traces in between
+// Where the frequency across rays turns, at broadside, the spectrum goes on beyond the highest of them as Airy's
+// function does, in units of the cube root of half its second derivative. `overlap_of` such units are sampled as well,
+// fewer where the filter with its taps is too short to see them.
+constexpr double overlap_reach = 1.6;
+double overlap_of(int taps) { return taps == 6 ? 3.0 : 4.3; }
 
 struct Axes {
     Point axis[3];  // by variance, least first
@@ -59,24 +66,41 @@ Axes axes_of(const std::vector<Point>& points) {
     return out;
 }
 
-// Some of a group's traces, those at its ends in all directions among them.
+// How far a group's sensors lie from its centre: where the phase's gradient is steepest is one of the outermost.
+struct Sensors {
+    Point sum, apart;  // transmitter and receiver on arrival, together and from one another
+};
+
+// Traces at a group's ends in all directions, of the places that sum and difference of its sensors take. All traces are
+// looked at: one that differs from its neighbours may be the outermost.
 Numbers outermost(const Group& group, const Geometry& geometry) {
-    const auto count = static_cast<std::int64_t>(group.traces.size());
-    if (count <= 16) return group.traces;
-    std::vector<Point> offset;
+    const std::size_t count = group.traces.size();
+    if (count <= 4) return group.traces;
+    std::vector<Sensors> places;
     for (const std::int64_t i : group.traces) {
         const Trace& trace = geometry.traces[i];
-        offset.push_back(0.5 * (point(trace.tx) + point(trace.rx)) - group.centre);
+        const Point tx = point(trace.tx) - group.centre,
+                    rx = point(trace.rx) + geometry.delay * point(trace.velocity) - group.centre;
+        places.push_back({tx + rx, tx - rx});
     }
-    const Axes axes = axes_of(offset);
+    constexpr int directions = 8;  // of half a turn
     Numbers picked;
-    for (const Point& axis : axes.axis) {
-        const auto less = [&](const Point& a, const Point& b) { return dot(a, axis) < dot(b, axis); };
-        const auto ends = std::minmax_element(offset.begin(), offset.end(), less);
-        picked.push_back(ends.first - offset.begin());
-        picked.push_back(ends.second - offset.begin());
+    for (int k = 0; k <= directions; ++k) {
+        const double angle = pi * k / directions;
+        const Point axis = k < directions ? Point{std::cos(angle), std::sin(angle), 0} : Point{0, 0, 1};
+        std::size_t ends[4] = {};
+        double least[2] = {HUGE_VAL, HUGE_VAL}, most[2] = {-HUGE_VAL, -HUGE_VAL};
+        for (std::size_t i = 0; i < count; ++i) {
+            const double at[2] = {dot(places[i].sum, axis), dot(places[i].apart, axis)};
+            for (std::size_t which = 0; which < 2; ++which) {
+                if (at[which] < least[which]) least[which] = at[which], ends[2 * which] = i;
+                if (at[which] > most[which]) most[which] = at[which], ends[2 * which + 1] = i;
+            }
+        }
+        picked.insert(picked.end(), ends, ends + 4);
     }
-    for (std::int64_t i = 0; i < count; i += count / 6) picked.push_back(i);
+    std::sort(picked.begin(), picked.end());
+    picked.erase(std::unique(picked.begin(), picked.end()), picked.end());
     for (auto& i : picked) i = group.traces[static_cast<std::size_t>(i)];
     return picked;
 }
@@ -96,6 +120,31 @@ struct Grower {
     const Layout& layout;
     double plane, direction, step;
     std::int64_t& left;  // floats that may still be used
+    double& along;       // highest frequency along any ray so far
+
+    // Between rays that serve readings at bearings and slant ranges, rad. Nodes beside these count too, as far as taps
+    // and filter reach, so that the spacing depends on itself: each second try is safe.
+    double spacing(const Group& group, Span bearing, Span slant, double& highest) const {
+        const double height = group.centre.z - plane, reach = layout.taps.reach();
+        const double near = ground_from(slant.low, height);
+        const Span grounds{std::max(ground_from(slant.low - reach * step, height), near / 2),
+                           ground_from(slant.high + reach * step, height)};
+        const double rate = layout.taps.rate;
+        double beam = 0, outer = 0;
+        for (int attempt = 0; attempt < 4; ++attempt) {
+            const Bands bands = bands_of(group, geometry, plane,
+                                         {direction + bearing.low - outer, direction + bearing.high + outer}, grounds);
+            const double sway = std::cbrt(bands.bend / 2), across = std::max(bands.across, 1e-9);
+            const double seen = overlap_reach * reach * sway * std::min(widest_beam, pi / (rate * across));
+            const double more = overlap_of(layout.taps.taps.count) * std::min(1.0, seen) * sway;
+            const double before = beam;
+            beam = std::min(widest_beam, pi / (rate * (spare_across * across + more)));
+            if (attempt % 2 == 1) highest = std::max(highest, bands.along);
+            if (attempt == 1 && beam >= 0.97 * before) break;
+            outer = reach * beam;
+        }
+        return beam;
+    }
 
     // Rays, and nodes on them, that serve all readings (of slant ranges); false where they are too many.
     bool cover(Node& node, const std::vector<Reading>& readings) const {
@@ -143,17 +192,13 @@ struct Grower {
     // A node for readings at bearings and slant ranges, and all below it; false where the tree grows too large.
     bool grow(Node& node, Group group, std::vector<Reading> readings, std::size_t depth) const {
         node.group = std::move(group);
-        const double height = node.group.centre.z - plane;
         const double infinite = std::numeric_limits<double>::infinity();
         Span bearing{infinite, -infinite}, slant{infinite, -infinite};
         for (const Reading& r : readings) {
             bearing = {std::min(bearing.low, r.bearing.low), std::max(bearing.high, r.bearing.high)};
             slant = {std::min(slant.low, r.distance.low), std::max(slant.high, r.distance.high)};
         }
-        const auto angles = spread(direction + bearing.low, direction + bearing.high, 9);
-        const auto grounds = spread(ground_from(slant.low, height), ground_from(slant.high, height), 3);
-        const double across = bands_of(node.group, geometry, plane, angles, grounds).across;
-        node.beam = std::min(widest_beam, 1 / (2 * layout.taps.rate * layout.spare * std::max(across, 1e-9)));
+        node.beam = spacing(node.group, bearing, slant, along);
         if (!cover(node, readings)) return false;
         if (depth == layout.fans.size()) return true;
         for (Numbers& traces : split(node.group, layout.fans[depth])) {
@@ -300,31 +345,48 @@ std::vector<Numbers> split(const Group& group, int fan) {
 }
 
 // A trace's echo of base-band frequency f at two-way time tau varies as exp(2j pi ((fc + f) tau - fc tau_0)), tau_0
-// that of the centre: the gradient of its phase, with f = +-B/2.
-Bands bands_of(const Group& group, const Geometry& geometry, double plane, const std::vector<double>& angles,
-               const std::vector<double>& grounds) {
+// that of the centre: the gradient of its phase, with f = +-B/2. Between the bearings looked at it exceeds what is
+// found there by at most an eighth of its second derivative times their distance squared.
+Bands bands_of(const Group& group, const Geometry& geometry, double plane, Span angles, Span grounds) {
     const Model& model = geometry.model;
     const double half = geometry.half_band(), height = group.centre.z - plane;
-    double across = 0, along = 0;
+    const int count = std::max(5, static_cast<int>(std::ceil(std::min((angles.high - angles.low) / apart, 64.0))) + 1);
+    const double step = (angles.high - angles.low) / (count - 1);
+    std::vector<Point> out;
+    for (const double angle : spread(angles.low, angles.high, count))
+        out.push_back({std::cos(angle), std::sin(angle), 0});
+    Bands bands{0, 0, 0};
     for (const std::int64_t i : outermost(group, geometry)) {
         const Trace& trace = geometry.traces[i];
-        const double speed = pysas::length(point(trace.velocity));
-        for (const double angle : angles) {
-            const Point out{std::cos(angle), std::sin(angle), 0}, side{-out.y, out.x, 0};
-            for (const double ground : grounds) {
-                const Point place = Point{group.centre.x, group.centre.y, plane} + ground * out;
-                const Point there = place - point(trace.tx), back = place - point(trace.rx);
-                const Point slope = (1 / std::max(pysas::length(there), 1e-9)) * there +
-                                    (1 / std::max(pysas::length(back), 1e-9)) * back;
-                const double radial = dot(slope, out) / (model.c - speed) * slant_of(ground, height) /
-                                      std::max(ground, 1e-9);  // along slant range
+        const Point velocity = point(trace.velocity);
+        const double speed = pysas::length(velocity);
+        for (const double ground : spread(grounds.low, grounds.high, 3)) {
+            const double stretch = slant_of(ground, height) / std::max(ground, 1e-9);
+            double before[2] = {0, 0};
+            for (int k = 0; k < count; ++k) {
+                const Point& ahead = out[static_cast<std::size_t>(k)];
+                const Point side{-ahead.y, ahead.x, 0};
+                const Point place = Point{group.centre.x, group.centre.y, plane} + ground * ahead;
+                const Point there = place - point(trace.tx);
+                const double way = std::max(pysas::length(there), 1e-9);
+                Point back = place - point(trace.rx);
+                if (speed > 0) back = back - ((way + pysas::length(back)) / model.c) * velocity;
+                const Point slope = (1 / way) * there + (1 / std::max(pysas::length(back), 1e-9)) * back;
+                const double radial = dot(slope, ahead) / (model.c - speed) * stretch;  // along slant range
                 const double lateral = dot(slope, side) / (model.c - speed) * ground;
-                across = std::max(across, std::abs(lateral));
-                along = std::max(along, half * std::abs(radial) + model.fc * std::abs(radial - 2 / model.c));
+                bands.across = std::max(bands.across, std::abs(lateral));
+                bands.along =
+                    std::max(bands.along, half * std::abs(radial) + model.fc * std::abs(radial - 2 / model.c));
+                if (k > 1) bands.bend = std::max(bands.bend, std::abs(lateral - 2 * before[1] + before[0]));
+                before[0] = before[1];
+                before[1] = lateral;
             }
         }
     }
-    return {across * (model.fc + half), along};
+    const double turns = 2 * pi * (model.fc + half);
+    bands.across = turns * (bands.across + bands.bend / 8);
+    bands.bend = turns * bands.bend / (step * step);
+    return bands;
 }
 
 std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, const Numbers& tiles,
@@ -382,9 +444,9 @@ Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Po
               double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left) {
     const double height = group.centre.z - plane;
     for (Reading& r : readings) r.distance = {slant_of(r.distance.low, height), slant_of(r.distance.high, height)};
-    const Grower grower{geometry, centres, layout, plane, direction, step, left};
-    Node root;
     Subtree out;
+    const Grower grower{geometry, centres, layout, plane, direction, step, left, out.along};
+    Node root;
     if (!grower.grow(root, group, std::move(readings), 0)) return out;
     std::vector<const Node*> nodes{&root};
     while (true) {

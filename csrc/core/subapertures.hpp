@@ -48,17 +48,18 @@ std::vector<Numbers> cut_track(const Geometry& geometry, const std::vector<Point
 // A group's traces in `fan` stretches of equal length, empty ones left out.
 std::vector<Numbers> split(const Group& group, int fan);
 
-// Highest frequencies of a group's sub-image at the places given: cycles a radian across its rays, cycles a metre of
-// slant range along them.
-struct Bands {
-    double across, along;
-};
-Bands bands_of(const Group& group, const Geometry& geometry, double plane, const std::vector<double>& angles,
-               const std::vector<double>& grounds);
-
 struct Span {
     double low, high;
 };
+
+// Highest frequencies of a group's sub-image: radians a radian across its rays, and how fast that changes (second
+// derivative), cycles a metre of slant range along them.
+struct Bands {
+    double across, bend, along;
+};
+
+// Over the ground distances and bearings given, of all of a group's traces.
+Bands bands_of(const Group& group, const Geometry& geometry, double plane, Span angles, Span grounds);
 
 // What is read from a sub-image in one place: bearings from a direction, and distances.
 struct Reading {
@@ -100,11 +101,11 @@ struct Layout {
     double spare, clear;
 };
 
-// The tree below a group for what is read from it at bearings from `direction` and ground distances, nodes `step`
-// apart.
+// A tree below one of the longest groups.
 struct Subtree {
     Numbers traces;             // in the order of the leaves
     std::vector<Level> levels;  // leaves first; none if the tree would hold more than the floats `left`
+    double along = 0;           // highest frequency along any ray, cycles a metre of slant range
 };
 
 // The levels one after the other, and how many sub-images each has.

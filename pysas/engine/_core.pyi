@@ -162,11 +162,11 @@ def plant(
     taps: int,
     half: int,
     rate: float,
-    spare: float,
     plane: float,
     direction: float,
     readings: npt.NDArray[np.float64],
     step: float,
+    left: int,
 ) -> tuple[
     npt.NDArray[np.int64],
     npt.NDArray[np.int64],
@@ -174,10 +174,12 @@ def plant(
     npt.NDArray[np.int64],
     npt.NDArray[np.int32],
     npt.NDArray[np.int64],
+    float,
 ]:
     """The tree below a group of `traces` for `readings` (n, 4): bearings from `direction` and ground distances, lowest and
     highest. Returns traces in the leaves' order, sub-images of each level, leaves first, and all levels' places, shapes,
-    ranges and spans.
+    ranges and spans, and the highest frequency along their rays; no levels where these would take more than the floats
+    `left`.
 
-    `medium` : sound speed, carrier and bandwidth.
+    `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where receivers move.
     """

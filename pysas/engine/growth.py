@@ -13,15 +13,18 @@ from pysas.engine.tree import PLACE, SHAPE, IntArray, SubImages, Taps
 
 def plant(
     geometry: FloatArray, centres: FloatArray, traces: IntArray, medium: FloatArray, fans: Sequence[int], taps: Taps,
-    spare: float, plane: float, direction: float, readings: FloatArray, step: float,
-) -> tuple[IntArray, tuple[SubImages, ...]]:  # fmt: skip
-    """Traces in the leaves' order, and levels, leaves first, for `readings` (n, 4): bearings from `direction` and grounds.
+    plane: float, direction: float, readings: FloatArray, step: float, left: int,
+) -> tuple[IntArray, tuple[SubImages, ...], float] | None:  # fmt: skip
+    """Traces in the leaves' order, levels, leaves first, and the highest frequency along their rays, for `readings` (n, 4):
+    bearings from `direction` and grounds; None where these would take more than the floats `left`.
 
-    `medium` : sound speed, carrier and bandwidth.
+    `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where receivers move.
     """
-    order, counts, place, shape, ranges, span = native.core().plant(
-        geometry, centres, traces, medium, fans, taps.width, taps.half, taps.rate, spare, plane, direction, readings, step
+    order, counts, place, shape, ranges, span, along = native.core().plant(
+        geometry, centres, traces, medium, fans, taps.width, taps.half, taps.rate, plane, direction, readings, step, left
     )
+    if not len(counts):
+        return None
     places, shapes, ranges = place.reshape(-1, PLACE), shape.reshape(-1, SHAPE), ranges.reshape(-1, 2)
     levels = []
     image = rays = ends = 0
@@ -32,4 +35,4 @@ def plant(
             SubImages(places[image : image + count], own, ranges[rays : rays + more], span[ends : ends + count + 1], size)
         )
         image, rays, ends = image + count, rays + more, ends + count + 1
-    return np.asarray(order), tuple(levels)
+    return np.asarray(order), tuple(levels), float(along)

@@ -1,0 +1,132 @@
+"""An image cut into tiles: by the plane its lines lie on, with boxes about them, and what trees make of each.
+
+For fast factorised back-projection; see docs/ffbp.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import subapertures
+from pysas._checks import FloatArray
+from pysas.subapertures import BoolArray, Subtree
+
+if TYPE_CHECKING:
+    from pysas.backprojection import Frame
+
+TILE_ROWS = 32
+
+
+@dataclass(frozen=True)
+class Tree:
+    """One of the longest groups: its sub-images if any tile is read from it, its traces (flat numbers), the tiles' fates."""
+
+    order: npt.NDArray[np.int64]
+    read: BoolArray
+    direct: BoolArray
+    subtree: Subtree | None
+    group: subapertures.Group
+
+
+@dataclass
+class Sheet:
+    """Lines [begin, end) of the image and the trees of a horizontal plane that they are read from.
+
+    Lines that lie on no plane are read from a stack of them, polynomials through number `number` of `planes` (heights, m).
+    """
+
+    begin: int
+    end: int
+    width: int
+    plane: float
+    mask: npt.NDArray[np.bool_] | None
+    pixels: npt.NDArray[np.int64]  # wanted of each tile
+    corners: FloatArray  # of boxes about the tiles (tile, 4 or 8, 3)
+    planes: FloatArray
+    number: int = 0
+    trees: list[Tree] = field(default_factory=list)
+
+    @property
+    def active(self) -> BoolArray:
+        """Tiles with any pixel wanted."""
+        return self.pixels > 0
+
+    @property
+    def flat(self) -> bool:
+        return bool(np.all(self.corners[..., 2] == self.plane))
+
+    @functools.cached_property
+    def spheres(self) -> tuple[FloatArray, FloatArray]:
+        """About the tiles: middles (tile, 3) and radii (tile,)."""
+        middle = self.corners.mean(axis=1)
+        return middle, np.linalg.norm(self.corners - middle[:, None], axis=-1).max(axis=1)
+
+
+def sheets(frame: Frame) -> list[Sheet]:
+    """The image's lines by the plane they lie on, or all of them where they lie on none."""
+    height, width = frame.shape
+    cuts = np.array([0, height])
+    if frame.straight and not np.any(frame.step[:, 2]):
+        steps = np.flatnonzero(np.diff(frame.first[:, 2])) + 1
+        if len(steps) < max(1, height // TILE_ROWS):
+            cuts = np.concatenate([[0], steps, [height]])
+    found = []
+    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+        top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
+        part = None if frame.mask is None else np.ascontiguousarray(frame.mask[begin:end])
+        boxes = np.empty((len(top), len(left), 8, 3))
+        pixels = np.empty((len(top), len(left)), dtype=np.int64)
+        columns = np.minimum(frame.count, width - left)
+        for i, line in enumerate(top):
+            last = min(line + TILE_ROWS, end)
+            boxes[i] = _boxes(frame, int(line), int(last), left)
+            rows = None if part is None else part[line - begin : last - begin]
+            pixels[i] = (last - line) * columns if rows is None else np.add.reduceat(rows.sum(axis=0), left)
+        corners = boxes.reshape(-1, 8, 3)
+        low, high = corners[..., 2].min(), corners[..., 2].max()
+        if low == high:  # those above are those below
+            corners = np.ascontiguousarray(corners[:, :4])
+        planes = np.array([(low + high) / 2])
+        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
+    return found
+
+
+def _boxes(frame: Frame, line: int, last: int, left: npt.NDArray[np.int64]) -> FloatArray:
+    """Corners (block, 8, 3), the lower four first, of upright boxes about blocks of lines [line, last) from columns `left` on.
+
+    Whatever the order of the lines; along straight lines' mean direction, which fits lines of any.
+    """
+    width = frame.shape[1]
+    if not frame.straight:
+        turn = np.eye(2)
+        points = frame.points(line * width, last * width).reshape(last - line, width, 3)
+        low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
+    else:
+        step = frame.step[line:last]
+        ahead = step[:, :2].sum(axis=0)
+        size = float(np.hypot(*ahead))
+        ahead = ahead / size if size > 0 else np.array([1.0, 0.0])
+        turn = np.array([ahead, [-ahead[1], ahead[0]]])
+        columns = np.stack([left, np.minimum(left + frame.count, width) - 1])
+        ends = frame.first[line:last, None, None] + step[:, None, None] * columns[..., None]
+        ends[..., :2] = ends[..., :2] @ turn.T
+        low, high = ends.min(axis=1), ends.max(axis=1)
+    low, high = low.min(axis=0), high.max(axis=0)
+    out = np.empty((len(left), 8, 3))
+    for k in range(8):
+        out[:, k] = np.where([k & 1, k & 2, k & 4], high, low)
+    out[..., :2] = out[..., :2] @ turn
+    return out
+
+
+def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool_]:
+    """The pixels of some tiles, (line, pixel)."""
+    height = sheet.end - sheet.begin
+    grid = tiles.reshape(-(-height // TILE_ROWS), -1)
+    full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : sheet.width]
+    return np.ascontiguousarray(full if sheet.mask is None else full & sheet.mask)
