@@ -38,7 +38,7 @@ PAIRS = 1 << 18  # of traces and tiles at a time
 class Layout:
     """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling.
 
-    `clear`: slant range (m) that nodes must have.
+    `clear`: slant range (m) that nodes must have from the centre of the longest group, `apart` from those of its parts.
     """
 
     length: float
@@ -46,6 +46,7 @@ class Layout:
     taps: Taps
     spare: float
     clear: float
+    apart: float
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,7 @@ def _fates(
         seen, beside = subapertures.onto(corners, members, plane)
         closest = np.linalg.norm(np.nan_to_num(seen[..., :2] - members.centre[:2]), axis=-1).min(axis=1)
         read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
+    read &= members.distances(middle) - radius - reach >= layout.apart
     some = np.flatnonzero(active)
     inside, heard = _within(scene, order, middle[some], radius[some], reach)
     read[some] &= inside

@@ -99,7 +99,7 @@ def cheapest(
     best: tuple[float, Layout, float] | None = None
     for view in _views(scene, frame):
         for fans, taps in kinds:
-            layout = Layout(view.length, fans, taps, spare, 0.0)
+            layout = Layout(view.length, fans, taps, spare, 0.0, 0.0)
             trees = _seconds(scene, view, layout, runs)
             cost = trees + (1 - view.served) * direct
             if best is None or cost < best[0]:
@@ -131,19 +131,19 @@ def _seconds(scene: Scene, view: _View, layout: Layout, runs: str) -> float:
 
 
 def cleared(scene: Scene, layout: Layout, height: float, error: float) -> Layout:
-    """A layout with the slant range that its nodes must have, whose sensors stand at most `height` up.
+    """A layout with the slant ranges that its nodes must have, whose sensors stand at most `height` up.
 
     `error` : for the delays along leaves' rays; MERGE of it for each merge, whose children lie off their parent's centre.
-    A tree's groups lie off the longest one's centre themselves.
     """
     heard = scene.geometry[scene.heard]
     baseline = float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1)))
     extents = layout.length / np.cumprod([1, *layout.fans])
-    least = _clear(scene, height, (extents[-1] + baseline) / 2, layout.taps.rate, error) + (layout.length - extents[-1]) / 2
-    for extent, part in itertools.pairwise(extents):
-        away = _clear(scene, height, (extent - part) / 2, layout.taps.rate, MERGE * error)
-        least = max(least, away + (layout.length - extent) / 2)
-    return replace(layout, clear=least)
+    away = [
+        _clear(scene, height, (extent - part) / 2, layout.taps.rate, MERGE * error)
+        for extent, part in itertools.pairwise(extents)
+    ]
+    away.append(_clear(scene, height, (extents[-1] + baseline) / 2, layout.taps.rate, error))
+    return replace(layout, clear=away[0], apart=max(away[1:], default=0.0))
 
 
 def _clear(scene: Scene, height: float, reach: float, rate: float, error: float) -> float:

@@ -44,12 +44,21 @@ class Medium:
 
 @dataclass(frozen=True)
 class Group:
-    """Traces of one group (positions in the tree's order), centre (3,) of their phase centres, extent (m) along axis (3,)."""
+    """Traces of one group (positions in the tree's order), centre (3,) of their phase centres, extent (m) along axis (3,), and how
+    far they lie off it, m."""
 
     traces: IntArray
     centre: FloatArray
     extent: float
     axis: FloatArray
+    off: float
+
+    def distances(self, points: FloatArray) -> FloatArray:
+        """At least, of points (n, 3) from any of the phase centres."""
+        away = points - self.centre
+        along = away @ self.axis
+        beside = np.sqrt(np.maximum(np.sum(away**2, axis=1) - along**2, 0))
+        return np.asarray(np.hypot(np.maximum(np.abs(along) - self.extent / 2, 0), np.maximum(beside - self.off, 0)))
 
 
 def phase_centres(geometry: FloatArray, delay: float) -> FloatArray:
@@ -64,7 +73,9 @@ def group(traces: IntArray, centres: FloatArray) -> tuple[Group, FloatArray]:
     axis = np.linalg.eigh(np.cov(points - middle, rowvar=False) if len(points) > 1 else np.eye(3))[1][:, -1]
     along = (points - middle) @ axis
     low, high = float(along.min()), float(along.max())
-    return Group(traces, middle + axis * (low + high) / 2, high - low, axis if high > low else np.array([1.0, 0, 0])), along
+    off = float(np.linalg.norm(points - middle - np.outer(along, axis), axis=1).max())
+    axis = axis if high > low else np.array([1.0, 0, 0])
+    return Group(traces, middle + axis * (low + high) / 2, high - low, axis, off), along
 
 
 def onto(points: FloatArray, members: Group, plane: float) -> tuple[FloatArray, FloatArray]:

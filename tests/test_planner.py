@@ -14,8 +14,9 @@ from test_factorised import BACKENDS, plane, single
 import pysas
 from pysas import bounds, planner
 from pysas.engine import native
-from pysas.forest import prospect, sheets
+from pysas.forest import prospect
 from pysas.scene import Scene
+from pysas.tiles import sheets
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7])

@@ -58,6 +58,7 @@ struct Planter {
             const double away = slant_of(std::max(ground - radius, 0.0), height);
             // across a beam's edge the sum has a step
             bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
+            read = read && group.distance(middle) - radius - reach >= layout.apart;
             bool heard = false;
             const double spread = 2 * (radius + reach);
             for (const std::int64_t i : group.traces) {

@@ -195,24 +195,23 @@ double clear_of(const Geometry& geometry, double height, double reach, double ra
 
 }  // namespace
 
-// The same as layouts.cleared in Python.
-double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol) {
+Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, double tol) {
     double height = 0, apart = 0, extent = layout.length;
     for (std::int64_t i = 0; i < geometry.count; ++i) {
         const Point tx = point(geometry.traces[i].tx), rx = point(geometry.traces[i].rx);
         height = std::max(height, std::max(std::abs(tx.z - frame.first[2]), std::abs(rx.z - frame.first[2])));
         apart = std::max(apart, length(tx - rx));
     }
-    for (const int fan : layout.fans) extent /= fan;
-    const double error = share_drift * share_leaves * tol, off = (layout.length - extent) / 2;
-    double out = clear_of(geometry, height, (extent + apart) / 2, layout.taps.rate, error) + off;
-    extent = layout.length;
+    const double error = share_drift * share_leaves * tol;
+    std::vector<double> away;
     for (const int fan : layout.fans) {
-        const double away = clear_of(geometry, height, extent * (1 - 1.0 / fan) / 2, layout.taps.rate, merge * error);
-        out = std::max(out, away + (layout.length - extent) / 2);
+        away.push_back(clear_of(geometry, height, extent * (1 - 1.0 / fan) / 2, layout.taps.rate, merge * error));
         extent /= fan;
     }
-    return out;
+    away.push_back(clear_of(geometry, height, (extent + apart) / 2, layout.taps.rate, error));
+    layout.clear = away.front();
+    layout.apart = away.size() > 1 ? *std::max_element(away.begin() + 1, away.end()) : 0;
+    return layout;
 }
 
 std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
@@ -231,7 +230,7 @@ std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame
         }
         if (!taps) continue;
         for (const double longest : lengths) {
-            const Layout layout{longest, parts, *taps, spare, 0};
+            const Layout layout{longest, parts, *taps, spare, 0, 0};
             const double cost = estimate(layout);
             if (cost >= cheapest) continue;
             cheapest = cost;

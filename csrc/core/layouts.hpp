@@ -18,7 +18,7 @@ constexpr double share_drift = 0.05;   // of the leaves' share: phase factors al
 // no pixel is far enough from any group. What it must be clear of is left open.
 std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa);
 
-// Slant range from which the delay polynomials of the leaves' rays hold.
-double clearance(const Geometry& geometry, const Frame& frame, const Layout& layout, double tol);
+// A layout with the slant ranges from which the polynomials along its leaves' rays hold, and those of its merges.
+Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, double tol);
 
 }  // namespace pysas

@@ -103,7 +103,7 @@ void Plan::plant(double tol) {
     for (const double rate : {1.0, 1.5}) {
         std::optional<Forest> forest;
         for (Layout cut = *layout; !forest && cut.length > layout->length / 8; cut.length *= 0.7) {
-            cut.clear = clearance(geometry, frame, cut, tol);  // shorter groups see nearer pixels from afar
+            cut = cleared(geometry, frame, cut, tol);  // shorter groups see nearer pixels from afar
             forest = grow(geometry, {*sheet}, cut, model_.near, rate, most);
         }
         if (!forest) return;

@@ -294,13 +294,22 @@ Group make_group(Numbers traces, const std::vector<Point>& centres) {
     Point middle;
     for (const Point& p : offset) middle = middle + (1 / static_cast<double>(offset.size())) * p;
     for (Point& p : offset) p = p - middle;
-    const Point axis = axes_of(offset).axis[2];
-    for (const Point& p : offset) out.along.push_back(dot(p, axis));
+    out.axis = axes_of(offset).axis[2];
+    for (const Point& p : offset) {
+        out.along.push_back(dot(p, out.axis));
+        out.off = std::max(out.off, pysas::length(p - out.along.back() * out.axis));
+    }
     const auto ends = std::minmax_element(out.along.begin(), out.along.end());
-    out.centre = middle + (*ends.first + *ends.second) / 2 * axis;
+    out.centre = middle + (*ends.first + *ends.second) / 2 * out.axis;
     out.extent = *ends.second - *ends.first;
     out.traces = std::move(traces);
     return out;
+}
+
+double Group::distance(const Point& point) const {
+    const Point away = point - centre;
+    const double ahead = dot(away, axis), beside = pysas::length(away - ahead * axis);
+    return std::hypot(std::max(std::abs(ahead) - extent / 2, 0.0), std::max(beside - off, 0.0));
 }
 
 std::vector<Numbers> cut_track(const Geometry& geometry, const std::vector<Point>& centres, double length) {

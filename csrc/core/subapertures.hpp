@@ -32,12 +32,16 @@ using Numbers = std::vector<std::int64_t>;
 // Middles of transmitter and receiver when an echo arrives.
 std::vector<Point> phase_centres(const Geometry& geometry);
 
-// Traces of one group; the centre of their phase centres; extent along their longest axis and places on it, m.
+// Traces of one group; the centre of their phase centres; their longest axis, extent along it, distance off it at most,
+// and places on it, m.
 struct Group {
     Numbers traces;
-    Point centre;
-    double extent = 0;
+    Point centre, axis;
+    double extent = 0, off = 0;
     std::vector<double> along;
+
+    // at least, of a point from any of the phase centres
+    double distance(const Point& point) const;
 };
 
 Group make_group(Numbers traces, const std::vector<Point>& centres);
@@ -93,12 +97,12 @@ struct Level {
 };
 
 // How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
-// nodes must have, m.
+// nodes must have from the centre of the longest group, `apart` from those of its parts, m.
 struct Layout {
     double length;
     std::vector<int> fans;
     TapDesign taps;
-    double spare, clear;
+    double spare, clear, apart;
 };
 
 // A tree below one of the longest groups.

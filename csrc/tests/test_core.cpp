@@ -365,8 +365,8 @@ void a_forest_holds_every_trace_and_serves_every_read() {
     auto layout = choose_layout(geometry, frame, 1e-3, "baseline");
     CHECK(layout && layout->length > 0 && layout->taps.worst < 1e-3);
     if (!layout) return;
-    layout->clear = clearance(geometry, frame, *layout, 1e-3);
-    CHECK(layout->clear > 5 && layout->clear < 20 && clearance(geometry, frame, *layout, 1e-5) > layout->clear);
+    layout = cleared(geometry, frame, *layout, 1e-3);
+    CHECK(layout->clear > 5 && layout->clear < 20 && cleared(geometry, frame, *layout, 1e-5).clear > layout->clear);
     for (const std::vector<int>& fans : {layout->fans, {}, {2}, {4, 2}, {4, 4, 2}}) {
         Layout cut = *layout;
         cut.fans = fans;
