@@ -31,7 +31,9 @@ def table(outcomes: list[Outcome]) -> str:
     rows = defaultdict(list)
     for outcome in outcomes:
         rows[outcome.way].append(outcome)
-    lines = [f"{'error / tol':28} {'kept':>6} {'told':>5} {'refused':>7} {'no tree':>7} {'broken':>6} {'median':>8} {'worst':>9}"]
+    lines = [
+        f"{'error / tol':28} {'kept':>6} {'told':>5} {'refused':>7} {'no tree':>7} {'broken':>6} {'median':>8} {'worst':>9}"
+    ]
     for way in sorted(rows):
         count = {v: sum(o.verdict == v for o in rows[way]) for v in ("kept", "told", "refused", "none", "broken")}
         ratios = [o.ratio for o in rows[way] if o.verdict in ("kept", "told", "broken")]

@@ -20,7 +20,7 @@ GRIDS = ("plane", "polar", "surface", "volume", "points", "rotated", "cloud")
 DATA = ("noise", "tones", "impulses", "point", "traces of all levels")
 FAMILIES = (
     "any", "far", "late", "bright", "far", "blast", "any", "edges", "far", "views", "extreme", "late", "fine", "fixed", "far",
-    "over-sampled", "any", "offset", "natural", "slow",
+    "over-sampled", "any", "offset", "natural", "far",
 )  # fmt: skip
 
 
@@ -214,7 +214,9 @@ def draw(seed: int) -> Scene:
     """The scene of a seed."""
     d = Draw(seed)
     family = FAMILIES[seed % len(FAMILIES)]
-    far = family in ("far", "late", "over-sampled", "fixed", "natural", "slow")
+    # scenes that trees suit have few complications each: together they leave no tree
+    far = family in ("far", "late", "over-sampled", "fixed", "natural")
+    odd = 0.3 if far else 1.0
     fs = d.one((10e3, 40e3, 1e6))
     c = d.one((1500.0, 1500.0, 343.0))
     unit = c / (2 * fs)
@@ -223,20 +225,22 @@ def draw(seed: int) -> Scene:
     fc = fs / over * d.one((d.log(0.3, 1), d.log(1, 20), d.log(2, 6)))
 
     # geometry
-    pings = d.whole(16, 160) if far else d.whole(1, 90)
-    channels = d.one((1, 1, 1, 2, 4))
+    pings = d.whole(16, 250) if far else d.whole(1, 90)
+    channels = d.one((1, 1, 1, 2, 4)) if pings < 100 else 1
     if family == "natural":
         pings, channels = 2048, 1
     if family == "extreme":
         pings = d.one((1, 1, 2, pings))
-    kind = d.one(TRACKS)
+    kind = d.one(TRACKS) if d.maybe(odd) else d.one(("line", "jittered line", "arc"))
     reach = d.log(300, 4000) if far else d.log(20, 1500)
-    length = reach * (d.log(3e-3, 0.3) if far else d.log(1e-2, 3.0))
+    if family == "over-sampled":
+        reach *= over / 2
+    length = reach * (d.log(3e-3, 0.5) if far else d.log(1e-2, 3.0))
     if family == "natural":
         kind, reach = d.one(("line", "jittered line", "circle", "arc")), d.log(600, 3000)
         length = reach * d.log(0.1, 1.0)
     path = track(d, kind, pings, length * unit)
-    form = "fixed transmitter" if family == "fixed" else d.one(ARRAYS)
+    form = "fixed transmitter" if family == "fixed" else d.one(ARRAYS) if d.maybe(odd) else d.one(ARRAYS[:3])
     if family == "late" and d.maybe(0.4):
         form = d.one(("swapped", "off the middle"))
     if family == "natural":
@@ -261,7 +265,7 @@ def draw(seed: int) -> Scene:
     extent = (float(min(steps[0] * columns, 200 * unit)), float(min(steps[1] * rows, 200 * unit)))
     if family == "natural":
         rows, columns, extent = 48, 48, (48 * unit, 48 * unit)
-    shape = d.one(GRIDS)
+    shape = d.one(GRIDS) if d.maybe(odd) else d.one(("plane", "plane", "rotated", "polar"))
     view = grid(d, shape, centre + offset, extent, (rows, columns), unit)
     tx, rx = tx + offset, rx + offset
 
@@ -269,7 +273,7 @@ def draw(seed: int) -> Scene:
     speed = d.one((0.0, 0.0, 1e-3, 0.01, 0.0499)) * c
     if family == "late" and d.maybe(0.3):
         speed = 0.0499 * c
-    if speed and family != "natural":
+    if speed and family != "natural" and d.maybe(odd):
         way = d.one(("one", "each", "odd"))
         velocity = np.tile(_unit(d), (pings, channels, 1)) if way != "each" else np.empty((pings, channels, 3))
         if way == "each":
@@ -280,7 +284,7 @@ def draw(seed: int) -> Scene:
         velocity = velocity * speed
 
     beam = None
-    if d.maybe(0.5 if family == "late" else 0.2):
+    if d.maybe(0.5 if family == "late" else 0.2 * odd):
         look = centre + offset - tx.mean(axis=0)
         look = look if np.linalg.norm(look) > 0 else np.array([0.0, 1.0, 0.0])
         look = np.tile(look, (pings, 1)) / np.linalg.norm(look)
@@ -298,32 +302,32 @@ def draw(seed: int) -> Scene:
     some = view.coordinates(np.unique(d.rng.integers(0, view.size, 40)))
     tau = oracle.delays(empty, some) * fs
     low, high = tau.min(axis=(0, 2)), tau.max(axis=(0, 2))
-    margins = (d.rng.uniform(0, 20), d.rng.uniform(20, 120), d.rng.uniform(60, 250))
-    before, after = d.one(margins), d.one(margins)
+    margins = (d.rng.uniform(0, 20), d.rng.uniform(20, 120), d.rng.uniform(60, 300), d.rng.uniform(150, 300))
+    before, after = d.one(margins[2:] if far else margins), d.one(margins[2:] if far else margins)
     if family == "over-sampled":
         before = d.one(margins[:2])
     span = float(high.max() - low.min())
-    if d.maybe(0.15):
+    if d.maybe(0.15 * odd):
         before = -d.rng.uniform(0, 1) * span  # begins within the image
     start = np.full(pings, low.min() - before)
-    if d.maybe(0.3):
+    if d.maybe(0.3 * odd):
         start = low - before  # each ping's record begins as it needs
         span = float(np.max(high - low))
     jitter = "even"
-    if family == "late" or d.maybe(0.15):
+    if family == "late" or d.maybe(0.15 * odd):
         jitter = d.one(("jittered", "random", "odd late", "stepped", "odd gone"))
-        odd = np.arange(pings) % 2 == 1
+        each = np.arange(pings) % 2 == 1
         if jitter == "jittered":
             start = start + d.rng.uniform(0, 2, pings)
         elif jitter == "random":
             start = start + d.rng.uniform(0, 1, pings) * (before + span)
         elif jitter == "odd late":
-            start = start + np.where(odd, before + 0.4 * span, 0)
+            start = start + np.where(each, before + 0.4 * span, 0)
         elif jitter == "stepped":
             start = start + np.where(np.arange(pings) > pings // 2, before + 0.6 * span, 0)
         else:
-            start = start + np.where(odd, before + 3 * span + 600, 0)
-    n = int(np.clip(before + span + after, 1, 700 if family != "natural" else 500))
+            start = start + np.where(each, before + 3 * span + 600, 0)
+    n = int(np.clip(before + span + after, 1, 800 if family != "natural" else 500))
     if family == "extreme" and d.maybe(0.4):
         n = d.one((1, 1, 2, 3))
         start = np.full(pings, np.floor(tau.min()) - d.one((0, 1)))
@@ -335,7 +339,7 @@ def draw(seed: int) -> Scene:
     content = d.one(DATA[:3]) if family in ("fine", "over-sampled") else d.one(DATA) if d.maybe(0.5) else "noise"
     if family == "bright":
         content = "point"
-    lenient = family in ("bright", "blast") or content in ("point", "traces of all levels")
+    lenient = family in ("bright", "blast") or content in ("impulses", "point", "traces of all levels")
     if content == "point":
         near = view.coordinates(np.array([int(d.rng.integers(view.size))]))[0]
         target = near + (extent[0] + d.rng.uniform(0, 20) * unit) * np.array([*_unit(d)[:2], 0.0]) * (family == "bright")
@@ -354,7 +358,7 @@ def draw(seed: int) -> Scene:
     wavelengths = float(np.max(tau)) / fs * fc
     finest = max(1e-10, 2e-14 * wavelengths)
     tol = d.log(finest, 1e-4) if family == "fine" else d.log(finest, 0.1) if double and d.maybe(0.5) else d.log(1e-5, 0.1)
-    if far and family != "over-sampled":
+    if far:
         tol = d.log(3e-5, 0.1)
     if d.maybe(0.2):
         tol = d.one((1e-1, 1e-3, 1e-5)) if not far else d.one((1e-1, 1e-3))

@@ -81,7 +81,7 @@ def test_oracle_is_the_definition():
 
 @pytest.mark.parametrize("engine", [pytest.param("cpp", marks=pytest.mark.cpp), "numba"])
 def test_what_is_wrong_is_found(engine, monkeypatch):
-    """An image twice as far off as allowed, a silent zero, a NaN and an unknown error are each broken; an image as made is kept."""
+    """An image twice as far off as allowed, a silent zero, a NaN, an unknown error: broken; the image as made is kept."""
     scene = replace(promise_scenes.draw(0), echoes=moving(), grid=PLANE, tol=1e-3, weights=None, lenient=False)
     known, way = promise_trial.truth(scene), Way(engine, "backproject")
     made, report = promise_trial.image(scene, way)
@@ -107,7 +107,10 @@ def test_what_is_wrong_is_found(engine, monkeypatch):
 
 def test_workers_that_die_are_named(monkeypatch):
     """A table of outcomes, and a seed whose process ends: it counts as broken and the next is judged all the same."""
-    outcomes = [promise_trial.Outcome(1, "cpp backproject", "kept", 0.5), promise_trial.Outcome(2, "cpp backproject", "broken", 3.0)]
+    outcomes = [
+        promise_trial.Outcome(1, "cpp backproject", "kept", 0.5),
+        promise_trial.Outcome(2, "cpp backproject", "broken", 3.0),
+    ]
     row = promise.table(outcomes).splitlines()[1].split()
     assert row == ["cpp", "backproject", "1", "0", "0", "0", "1", "1.750", "3"]
     assert defaultdict(int)[promise.words(outcomes[1])] == 0
