@@ -10,10 +10,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-# A term counts where its place in the record lies within this many samples of it, and its angle within this of the beam's:
-# places that lie exactly on an end in decimal numbers do so to rounding only.
-RECORD_SLACK = 1e-6
-BEAM_SLACK = 1e-9
+# A term counts up to so many samples beyond a record's ends, where it is read at the end, and rad beyond a beam's edge: places
+# that lie exactly there in decimal numbers do so to rounding only. The same as pysas.reference.exact's rule, written again.
+RECORD_SLACK = 1e-4
+BEAM_SLACK = 1e-7
+UNSURE = 0.01  # of these: rounding decides what lies nearer to where counting stops
 
 PASS, STOP = 1 / 2.2, 0.5
 H, X = (PASS + STOP) / 2, 2 * (STOP - PASS)  # half-amplitude frequency, cycles per sample; x = X |t|
@@ -67,7 +68,7 @@ def _read(trace, u, turn, half):
 
 @numba.njit(cache=True)
 def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle, weights):
-    """Image, squared level, and how near (samples, or rad 1e3) any term comes to where it would be counted otherwise."""
+    """Image, squared level, and how near (in slacks) any term comes to where it would be counted otherwise."""
     pings, channels, samples = data.shape
     image, power = np.zeros(len(points), np.complex128), np.zeros(len(points))
     nearest = np.full(len(points), np.inf)
@@ -86,17 +87,18 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle
                 z = away[0] * b[1] - away[1] * b[0]
                 dot = away[0] * b[0] + away[1] * b[1] + away[2] * b[2]
                 beyond = np.arctan2(np.sqrt(x * x + y * y + z * z), dot) - half_angle - BEAM_SLACK
-                nearest[i] = min(nearest[i], 1e3 * abs(beyond))
+                nearest[i] = min(nearest[i], abs(beyond) / BEAM_SLACK)
                 if beyond > 0:
                     continue
             for k in range(channels):
                 tau = delay(np.sqrt(squared), points[i] - rx[p, k], velocity[p, k], c)
                 u = (tau - start[p]) * fs
-                nearest[i] = min(nearest[i], abs(u + RECORD_SLACK), abs(u - samples + 1 - RECORD_SLACK))
+                away_from = min(abs(u + RECORD_SLACK), abs(u - samples + 1 - RECORD_SLACK))
+                nearest[i] = min(nearest[i], away_from / RECORD_SLACK)
                 weight = weights[min(i, len(weights) - 1), p, k]
                 if u < -RECORD_SLACK or u > samples - 1 + RECORD_SLACK or weight == 0:
                     continue
-                value = weight * _read(data[p, k], u, turn, half)
+                value = weight * _read(data[p, k], min(max(u, 0.0), samples - 1.0), turn, half)
                 turns = fc * tau
                 turns -= np.rint(turns)
                 image[i] += value * np.exp(2j * np.pi * turns)
@@ -158,7 +160,7 @@ def direct_sum(echoes, points, weights=None):
     image, power, nearest = _sum(
         data, echoes.fs, echoes.fc, start, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, half_angle, w
     )
-    return image, np.sqrt(power), nearest > RECORD_SLACK / 2
+    return image, np.sqrt(power), nearest > UNSURE
 
 
 def any_term(echoes, points, used):
