@@ -254,8 +254,6 @@ def draw(seed: int) -> Scene:
     offset = np.zeros(3)
     if family == "offset" or d.maybe(0.1):
         offset = np.array([5e6, 4e5, 0.0]) * d.one((1.0, -1.0))
-        if unit < 1e-2:
-            offset /= 100
 
     # grid
     rows, columns = d.one(((d.whole(1, 64), d.whole(1, 64)), (1, d.whole(1, 300)), (d.whole(1, 300), 1), (40, 40)))
