@@ -102,7 +102,7 @@ def run(seeds: list[int], everything: bool, jobs: int, longest: float = LONGEST)
                         done = True
                     else:
                         worker.way = step
-            except EOFError:
+            except (EOFError, ConnectionResetError):
                 words = "the process died"
             if time.monotonic() - worker.since > longest:
                 words = f"no answer within {longest:g} s"

@@ -348,10 +348,12 @@ def draw(seed: int) -> Scene:
         data = level * echo + noise(d, (pings, channels, n), band)
     else:
         data = samples(d, content, (pings, channels, n), band)
+    blast = ""
     if family == "blast":
         level = 10 ** (d.one((40, 60, 80, 100)) / 20)
         width = np.log(1e9 * level)
         data = data + level * pulses(d.one((-1.0, 0.0, -0.5, 20.0)) * over, n, band, width)
+        blast = f" under a blast of {20 * np.log10(level):.0f} dB"
     double = family == "fine" or d.maybe(0.3)
     wavelengths = float(np.max(tau)) / fs * fc
     finest = max(1e-10, 2e-14 * wavelengths)
@@ -393,7 +395,7 @@ def draw(seed: int) -> Scene:
     if family == "edges":
         tx, rx, start_time, beam, view, n, data = _edges(d, unit, fs, c, pings, channels, dtype, band)
         velocity, weights, nan, kind, form, jitter = None, None, "raise", "edges", "monostatic", "even"
-        shape, lenient = view.kind, False
+        shape, content, lenient = view.kind, "noise", False
     flat = channels == 1 and d.maybe(0.5)
     t0 = start_time if np.ptp(start_time) > 0 or d.maybe(0.3) else float(start_time[0])
     echoes = pysas.Echoes(
@@ -403,7 +405,7 @@ def draw(seed: int) -> Scene:
     if isinstance(weights, np.ndarray) and weights.ndim == 2 and weights.shape[1] != echoes.n_channel:
         weights = weights[:, :1]
     words = (
-        f"{kind}, {form}, {pings} x {channels} x {n}, {shape} {'x'.join(map(str, view.shape))}, {content}"
+        f"{kind}, {form}, {pings} x {channels} x {n}, {shape} {'x'.join(map(str, view.shape))}, {content}{blast}"
         f"{'' if scale == 1 else f' x {scale:g}'}, {np.dtype(dtype).name}, fs/B {over:.3g}, fc/B {fc / fs * over:.3g}, "
         f"length/range {length / reach:.2g}, range {reach:.0f} samples, speed {speed / c:.2g} c, start {jitter}, "
         f"{'no' if beam is None else f'{beam.half_angle:.2g} rad'} beam, weights "

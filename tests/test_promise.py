@@ -2,7 +2,6 @@
 
 import faulthandler
 import os
-from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ import promise_oracle as oracle
 import promise_scenes
 import promise_trial
 import pytest
-from promise_trial import Way
+from promise_trial import Outcome, Way
 from scenes import PLANE, moving
 
 import pysas
@@ -105,12 +104,25 @@ def test_what_is_wrong_is_found(engine, monkeypatch):
     assert verdict(ValueError("tol=1e-9: complex64 data over 20 m reach 1e-05 at best")) == "refused"
 
 
-def test_workers_that_die_are_named(monkeypatch):
-    """A table of outcomes, and a seed whose process ends: it counts as broken and the next is judged all the same."""
-    outcomes = [
-        promise_trial.Outcome(1, "cpp backproject", "kept", 0.5),
-        promise_trial.Outcome(2, "cpp backproject", "broken", 3.0),
-    ]
+def test_table_of_outcomes():
+    some = ((1, "kept", 0.5, ""), (2, "broken", 3.0, "why"), (3, "told", 1.5, ""))
+    outcomes = [Outcome(seed, "cpp focus", verdict, ratio, words) for seed, verdict, ratio, words in some]
     row = promise.table(outcomes).splitlines()[1].split()
-    assert row == ["cpp", "backproject", "1", "0", "0", "0", "1", "1.750", "3"]
-    assert defaultdict(int)[promise.words(outcomes[1])] == 0
+    assert row == ["cpp", "focus", "1", "1", "0", "0", "1", "1.500", "3"]
+    assert promise.words(outcomes[1]) == "seed 2: cpp focus: broken, error 3 tol why"
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_names_its_seed(monkeypatch):
+    """The next seed is judged by another."""
+
+    class Dying(promise.Worker):
+        def take(self, seed):
+            super().take(seed)
+            if seed == 0:
+                self.process.kill()
+
+    monkeypatch.setattr(promise, "Worker", Dying)
+    first, *others = promise.run([0, 20], False, 1)
+    assert (first.seed, first.verdict, first.words) == (0, "broken", "the process died")
+    assert others and {o.seed for o in others} == {20}
