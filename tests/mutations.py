@@ -94,7 +94,7 @@ class Tree:
         for name in COPIED:
             source = ROOT / name
             if source.is_dir():
-                shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+                shutil.copytree(source, folder / name)  # with what Numba has compiled already: times of change are kept
             elif source.exists():
                 shutil.copy2(source, folder / name)
         self.objects: Path | None = None
@@ -112,6 +112,8 @@ class Tree:
 
     def _rebuild(self, file: str) -> None:
         """Compile a file of csrc/core and link the extension and the library again; all of it the first time."""
+        if file.startswith("pysas/engine/"):  # Numba looks at no file but the function's own
+            shutil.rmtree(self.folder / "pysas" / "engine" / "__pycache__", ignore_errors=True)
         if not file.startswith("csrc/core/"):
             return
         if self.objects is None:

@@ -10,6 +10,7 @@ A worker that dies or takes longer than a scene may is replaced, and its seed is
 from __future__ import annotations
 
 import argparse
+import contextlib
 import faulthandler
 import multiprocessing
 import sys
@@ -53,11 +54,12 @@ def words(outcome: Outcome) -> str:
 def _work(pipe: Connection, everything: bool) -> None:
     """Take seeds; tell what is begun, each outcome, and None after a scene's last."""
     faulthandler.enable()
-    while True:
-        scene = promise_scenes.draw(pipe.recv())
-        for step in promise_trial.steps(scene, everything):
-            pipe.send(step)
-        pipe.send(None)
+    with contextlib.suppress(EOFError, OSError):  # the parent is gone
+        while True:
+            scene = promise_scenes.draw(pipe.recv())
+            for step in promise_trial.steps(scene, everything):
+                pipe.send(step)
+            pipe.send(None)
 
 
 class Worker:
