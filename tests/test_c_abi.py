@@ -5,8 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import c_library
 import numpy as np
 import pytest
+from c_library import PROGRESS, Options, i64, pointer, structs
 from scenes import PLANE, SCENES, far, moving, straight
 from test_factorised import CASES, PLACES, TRACKS, answer, plane, tracked
 
@@ -14,70 +16,11 @@ import pysas
 
 pytestmark = [pytest.mark.cpp, pytest.mark.skipif(sys.platform == "win32", reason="POSIX names and flags")]
 EXAMPLE = Path(__file__).parent.parent / "examples" / "c" / "image.c"
-i64, f64, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-
-
-class Survey(ctypes.Structure):
-    _fields_ = (
-        [("struct_size", ctypes.c_size_t), ("n_ping", i64), ("n_channel", i64), ("n_sample", i64)]
-        + [(name, f64) for name in ("fs", "fc", "bandwidth", "c", "t0")]
-        + [(name, pointer) for name in ("ping_t0", "tx", "rx", "velocity", "weights", "boresight")]
-        + [("beam_half_angle", f64)]
-    )
-
-
-class Grid(ctypes.Structure):
-    _fields_ = [
-        ("struct_size", ctypes.c_size_t), ("height", i64), ("width", i64), ("first", f64 * 3), ("along", f64 * 3),
-        ("down", f64 * 3), ("points", pointer), ("mask", pointer),
-    ]  # fmt: skip
-
-
-PROGRESS = ctypes.CFUNCTYPE(ctypes.c_int, f64, pointer)
-
-
-class Options(ctypes.Structure):
-    _fields_ = [
-        ("struct_size", ctypes.c_size_t), ("tol", f64), ("dtype", ctypes.c_int32), ("threads", ctypes.c_int32),
-        ("isa", ctypes.c_char_p), ("progress", PROGRESS), ("user", pointer), ("method", ctypes.c_int32),
-    ]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def library():
-    found = ctypes.CDLL(pysas.get_library())
-    found.pysas_strerror.restype = ctypes.c_char_p
-    found.pysas_plan_execute.argtypes = [pointer] * 5
-    found.pysas_plan_destroy.argtypes = [pointer]
-    found.pysas_plan_destroy.restype = None
-    found.pysas_plan_factorised_share.argtypes = [pointer]
-    found.pysas_plan_factorised_share.restype = f64
-    return found
-
-
-def structs(echoes, grid, tol, keep, points=False):
-    """The three structs; arrays they point to are kept alive in `keep`."""
-
-    def at(values):
-        if values is None:
-            return None
-        keep.append(np.ascontiguousarray(values))
-        return keep[-1].ctypes.data
-
-    survey = Survey(
-        ctypes.sizeof(Survey), echoes.n_ping, echoes.n_channel, echoes.n_sample, echoes.fs, echoes.fc,
-        echoes.occupied_bandwidth, echoes.c, 0.0, at(echoes.start_time), at(echoes.tx), at(echoes.receivers),
-        at(echoes.receiver_velocity),
-    )  # fmt: skip
-    corner = grid.coordinates(np.array([0, 1, grid.shape[1]]))
-    lines = Grid(ctypes.sizeof(Grid), *grid.shape)
-    lines.first[:], lines.along[:], lines.down[:] = corner[0], corner[1] - corner[0], corner[2] - corner[0]
-    if points:
-        lines.points = at(grid.coordinates())
-    if grid.mask is not None:
-        lines.mask = at(grid.mask)
-    dtype = 0 if echoes.dtype == np.complex64 else 1
-    return survey, lines, Options(ctypes.sizeof(Options), tol, dtype, 2)
+    return c_library.library()
 
 
 def image(library, echoes, grid, tol, points=False, change=lambda survey, lines, options: None, shares=None):

@@ -1,0 +1,176 @@
+"""Whether the scenes of the promise find a bound that is broken: ten bounds, one factor in one of them at a time.
+
+    python tests/mutations.py                    plant each, run the scenes until one breaks, print what was found
+    python tests/mutations.py tree filter        only those whose names hold one of the words
+
+Each is planted in a copy of the tree; of C++ only the changed file is compiled again. A scene that breaks without any mutation
+does not count. Nothing in this tree is changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = ("pysas", "csrc", "tests", "setup.py", "pyproject.toml", "README.md", "LICENSE", "MANIFEST.in")
+FLAGS = [
+    "-O3",
+    "-std=c++17",
+    "-fvisibility=hidden",
+    "-ffp-contract=off",
+    "-fPIC",
+    "-Icsrc",
+    "-Icsrc/include",
+    "-DPYSAS_BUILD=1",
+]
+X86 = platform.machine().lower() in ("x86_64", "amd64")
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A text of one file that is replaced; it must stand there exactly once."""
+
+    name: str
+    factor: str
+    file: str
+    old: str
+    new: str
+
+
+# The factor is what a slip makes: a missing 2 pi or square, a term of a sum, a unit.
+MUTATIONS = (
+    Mutation(
+        "filter's measured error", "1/20", "csrc/core/filters.cpp",
+        "filter.error = measure(filter, band, low_pass);", "filter.error = measure(filter, band, low_pass) / 20;",
+    ),
+    Mutation(
+        "polynomials of sine and cosine", "1e-3", "pysas/bounds.py",
+        "return (fits[0], fits[1]), worst", "return (fits[0], fits[1]), 1e-3 * worst",
+    ),
+    Mutation(
+        "remainder of the delay polynomial", "1e-4", "pysas/choices.py",
+        "scaled = 2 * np.pi * wave * 2 * 1.3", "scaled = 1e-4 * 2 * np.pi * wave * 2 * 1.3",
+    ),
+    Mutation(
+        "rounding of float32 offsets in a block", "1e-3", "pysas/choices.py",
+        "rounding = np.pi * turns * eps", "rounding = 1e-3 * np.pi * turns * eps",
+    ),
+    Mutation(
+        "samples that moving receivers need", "0 of the speed", "pysas/scene.py",
+        "np.ceil(((far_tx + far_rx) / (self.c - speed)", "np.ceil(((far_tx + far_rx) / (self.c - 0 * speed)",
+    ),
+    Mutation(
+        "zeros against wrap-round", "1/8", "pysas/bounds.py",
+        "return GUARD[min(max(index, 0), len(GUARD) - 1)]", "return GUARD[min(max(index, 0), len(GUARD) - 1)] // 8",
+    ),
+    Mutation(
+        "interpolation by transforms", "30", "pysas/bounds.py",
+        "np.interp(-np.log10(error), exponents", "np.interp(-np.log10(30 * error), exponents",
+    ),
+    Mutation("interpolation of a tree", "1/12", "pysas/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
+    Mutation("sampling of a tree", "0.7", "pysas/planner.py", "SPARE = 1.05 ", "SPARE = 0.7 "),
+    Mutation(
+        "lattice of weights uniform in view angle", "30", "pysas/view_angles.py",
+        "    wrong = _rms(", "    wrong = _rms(1 / 30 * ",
+    ),
+)  # fmt: skip
+
+
+class Tree:
+    """A copy of the sources in which a mutation is planted and taken out again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in COPIED:
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name)  # with what Numba has compiled already: times of change are kept
+            elif source.exists():
+                shutil.copy2(source, folder / name)
+        self.objects: Path | None = None
+
+    def plant(self, mutation: Mutation) -> None:
+        path = self.folder / mutation.file
+        text = path.read_text(encoding="utf-8")
+        assert text.count(mutation.old) == 1, f"{mutation.file}: {mutation.old!r} stands there {text.count(mutation.old)} times"
+        path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+        self._rebuild(mutation.file)
+
+    def restore(self, mutation: Mutation) -> None:
+        shutil.copy2(ROOT / mutation.file, self.folder / mutation.file)
+        self._rebuild(mutation.file)
+
+    def _rebuild(self, file: str) -> None:
+        """Compile a file of csrc/core and link the extension and the library again; all of it the first time."""
+        if file.startswith("pysas/engine/"):  # Numba looks at no file but the function's own
+            shutil.rmtree(self.folder / "pysas" / "engine" / "__pycache__", ignore_errors=True)
+        if not file.startswith("csrc/core/"):
+            return
+        if self.objects is None:
+            build = [sys.executable, "setup.py", "build_ext", "--inplace", "--build-temp", "objects"]
+            subprocess.run(build, cwd=self.folder, check=True, stdout=subprocess.DEVNULL)
+            self.objects = next(self.folder.glob("objects/**/csrc"))
+        else:
+            sets = ["-DPYSAS_HAVE_AVX2=1", "-DPYSAS_HAVE_AVX512=1"] if X86 else []
+            target = self.objects.parent / Path(file).with_suffix(".o")
+            subprocess.run(["c++", *FLAGS, *sets, "-c", file, "-o", target], cwd=self.folder, check=True)
+            core = sorted(self.objects.glob("core/*.o")) + sorted(self.objects.glob("isa/*.o"))
+            extension = next((self.folder / "pysas" / "engine").glob("_core*.so"))
+            library = next((self.folder / "pysas" / "lib").glob("libpysas.*"))
+            for objects, out in (([*core, self.objects / "bind" / "module.o"], extension), (core, library)):
+                out.unlink()  # a process may have the old one open
+                subprocess.run(["c++", "-shared", "-pthread", *objects, "-o", out], check=True)
+
+    def broken(self, count: int, jobs: int, known: frozenset[tuple[str, str]], first: bool) -> list[tuple[str, str]]:
+        """(seed, way) of what breaks and is not known to; with `first` only the first of them."""
+        command = [sys.executable, "tests/promise.py", "--count", str(count), "--share", "--jobs", str(jobs)]
+        environment = os.environ | {"PYTHONPATH": str(self.folder)}
+        found = []
+        with subprocess.Popen(command, cwd=self.folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                match = re.match(r"seed (\d+): (.*?): broken", line)
+                if match and match.groups() not in known:
+                    found.append((match[1], match[2]))
+                    if first:
+                        process.terminate()
+                        break
+        return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--count", type=int, default=200, help="scenes, the first so many seeds")
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    wanted = [m for m in MUTATIONS if not given.names or any(name in m.name for name in given.names)]
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Tree(Path(folder))
+        known = frozenset(tree.broken(given.count, given.jobs, frozenset(), False))
+        print(f"{'broken without a mutation':45} {len(known)} images of {given.count} scenes", flush=True)
+        missed = 0
+        for mutation in wanted:
+            begun = time.monotonic()
+            tree.plant(mutation)
+            found = tree.broken(given.count, given.jobs, known, True)
+            tree.restore(mutation)
+            missed += not found
+            words = f"seed {found[0][0]}, {found[0][1]}" if found else "MISSED"
+            print(f"{mutation.name:45} x {mutation.factor:15} {words} ({time.monotonic() - begun:.0f} s)", flush=True)
+    print(f"{len(wanted) - missed} of {len(wanted)} found")
+    return int(missed > max(0, len(wanted) // 10))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

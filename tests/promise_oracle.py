@@ -1,0 +1,174 @@
+"""A second oracle for the promise of `tol`, which shares nothing with `pysas.reference.exact` but the definition.
+
+Each term is a direct sum over all samples of its trace with the closed-form kernel of the low-pass W (a raised cosine between
+fs/2.2 and fs/2; Proakis, Digital Communications, Eq 9.2-27), in float64: no transform, no interpolation. The delay of a moving
+receiver is the closed-form root of its quadratic.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+# A term counts up to so many samples beyond a record's ends, where it is read at the end, and rad beyond a beam's edge: places
+# that lie exactly there in decimal numbers do so to rounding only. The same as pysas.reference.exact's rule, written again.
+RECORD_SLACK = 1e-4
+BEAM_SLACK = 1e-7
+UNSURE = 0.01  # of these: rounding decides what lies nearer to where counting stops
+
+PASS, STOP = 1 / 2.2, 0.5
+H, X = (PASS + STOP) / 2, 2 * (STOP - PASS)  # half-amplitude frequency, cycles per sample; x = X |t|
+
+
+@numba.njit(cache=True)
+def delay(outward, e, v, c):
+    """Root tau of c tau = D + |e - v tau|, D outward, e from receiver to pixel.
+
+    Squared: (c^2 - v^2) tau^2 - 2 (c D - e.v) tau + D^2 - e^2 = 0; the larger root.
+    """
+    ee, ev, vv = 0.0, 0.0, 0.0
+    for k in range(3):
+        ee += e[k] * e[k]
+        ev += e[k] * v[k]
+        vv += v[k] * v[k]
+    if vv == 0:
+        return (outward + np.sqrt(ee)) / c
+    root = c * c * ee - 2 * c * outward * ev + ev * ev + vv * (outward * outward - ee)
+    return (c * outward - ev + np.sqrt(max(root, 0.0))) / (c * c - vv)
+
+
+@numba.njit(cache=True)
+def _sinc(x):
+    return 1.0 if abs(x) < 1e-12 else np.sin(np.pi * x) / (np.pi * x)
+
+
+@numba.njit(cache=True)
+def kernel(t):
+    """Impulse response of W at `t` samples: cos(pi x / 2) / (1 - x^2) as a sinc, which is smooth at x = 1."""
+    x = X * abs(t)
+    return 2 * H * _sinc(2 * H * t) * np.pi / 2 * _sinc((1 - x) / 2) / (1 + x)
+
+
+@numba.njit(cache=True)
+def _read(trace, u, turn, half):
+    """Low-passed `trace` at place `u`; `turn`, `half`: exp(2 pi i H m), exp(pi i X m / 2) of its samples m."""
+    at, bell = np.exp(2j * np.pi * H * u), np.exp(0.5j * np.pi * X * u)
+    total = 0j
+    for m in range(trace.size):
+        t = u - m
+        x = X * t
+        if abs(t) < 0.5 or abs(abs(x) - 1) < 0.02:
+            total += trace[m] * kernel(t)
+        else:
+            sine = at.imag * turn[m].real - at.real * turn[m].imag
+            cosine = bell.real * half[m].real + bell.imag * half[m].imag
+            total += trace[m] * (sine / (np.pi * t) * cosine / (1 - x * x))
+    return total
+
+
+@numba.njit(cache=True)
+def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle, weights):
+    """Image, squared level, and how near (in slacks) any term comes to where it would be counted otherwise."""
+    pings, channels, samples = data.shape
+    image, power = np.zeros(len(points), np.complex128), np.zeros(len(points))
+    nearest = np.full(len(points), np.inf)
+    places = np.arange(samples)
+    turn, half = np.exp(2j * np.pi * H * places), np.exp(0.5j * np.pi * X * places)
+    away = np.zeros(3)
+    for i in range(len(points)):
+        for p in range(pings):
+            squared = 0.0
+            for k in range(3):
+                away[k] = points[i, k] - tx[p, k]
+                squared += away[k] * away[k]
+            if half_angle < np.inf:
+                b = boresight[p]
+                x, y = away[1] * b[2] - away[2] * b[1], away[2] * b[0] - away[0] * b[2]
+                z = away[0] * b[1] - away[1] * b[0]
+                dot = away[0] * b[0] + away[1] * b[1] + away[2] * b[2]
+                beyond = np.arctan2(np.sqrt(x * x + y * y + z * z), dot) - half_angle - BEAM_SLACK
+                nearest[i] = min(nearest[i], abs(beyond) / BEAM_SLACK)
+                if beyond > 0:
+                    continue
+            for k in range(channels):
+                tau = delay(np.sqrt(squared), points[i] - rx[p, k], velocity[p, k], c)
+                u = (tau - start[p]) * fs
+                away_from = min(abs(u + RECORD_SLACK), abs(u - samples + 1 - RECORD_SLACK))
+                nearest[i] = min(nearest[i], away_from / RECORD_SLACK)
+                weight = weights[min(i, len(weights) - 1), p, k]
+                if u < -RECORD_SLACK or u > samples - 1 + RECORD_SLACK or weight == 0:
+                    continue
+                value = weight * _read(data[p, k], min(max(u, 0.0), samples - 1.0), turn, half)
+                turns = fc * tau
+                turns -= np.rint(turns)
+                image[i] += value * np.exp(2j * np.pi * turns)
+                power[i] += value.real**2 + value.imag**2
+    return image, power, nearest
+
+
+@numba.njit(cache=True)
+def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, half_angle, used):
+    """Whether any term of `used` traces counts at any of the points."""
+    away = np.zeros(3)
+    for i in range(len(points)):
+        for p in range(len(tx)):
+            for k in range(3):
+                away[k] = points[i, k] - tx[p, k]
+            outward = np.sqrt((away**2).sum())
+            if half_angle < np.pi and (away * boresight[p]).sum() < np.cos(half_angle + BEAM_SLACK) * outward:
+                continue
+            for k in range(rx.shape[1]):
+                u = (delay(outward, points[i] - rx[p, k], velocity[p, k], c) - start[p]) * fs
+                if used[p, k] and -RECORD_SLACK <= u <= samples - 1 + RECORD_SLACK:
+                    return True
+    return False
+
+
+def _geometry(echoes):
+    """Arrays of a survey as the loops take them: start, tx, rx, velocity, boresights of length 1 and the half-angle."""
+    pings, channels = echoes.n_ping, echoes.n_channel
+    velocity = np.zeros((pings, channels, 3)) if echoes.velocity is None else echoes.receiver_velocity
+    boresight, half_angle = np.zeros((pings, 3)), np.inf
+    if echoes.beam is not None:
+        boresight, half_angle = np.broadcast_to(echoes.beam.boresight, (pings, 3)), echoes.beam.half_angle
+        boresight = boresight / np.linalg.norm(boresight, axis=1, keepdims=True)
+    arrays = (echoes.start_time, echoes.tx, echoes.receivers, velocity, boresight)
+    return (*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), float(half_angle))
+
+
+def delays(echoes, points):
+    """(point, ping, channel) travel times, s."""
+    _, tx, rx, velocity, _, _ = _geometry(echoes)
+    out = np.empty((len(points), *rx.shape[:2]))
+    for i, point in enumerate(points):
+        outward, e = np.linalg.norm(point - tx, axis=1)[:, None], point - rx
+        ee, ev, vv = (np.sum(a * b, axis=-1) for a, b in ((e, e), (e, velocity), (velocity, velocity)))
+        root = echoes.c**2 * ee - 2 * echoes.c * outward * ev + ev**2 + vv * (outward**2 - ee)
+        out[i] = (echoes.c * outward - ev + np.sqrt(np.maximum(root, 0))) / (echoes.c**2 - vv)
+    return out
+
+
+def direct_sum(echoes, points, weights=None):
+    """Image and level at `points`, and which of these have no term too near to an end for rounding to decide.
+
+    weights : (ping, channel), or (point, ping, channel), of which traces of weight 0 may hold anything.
+    """
+    w = np.ones((echoes.n_ping, echoes.n_channel)) if weights is None else np.asarray(weights)
+    w = np.ascontiguousarray(w if w.ndim == 3 else w[None], np.complex128)
+    start, tx, rx, velocity, boresight, half_angle = _geometry(echoes)
+    data = np.ascontiguousarray(echoes.traces, np.complex128)
+    image, power, nearest = _sum(
+        data, echoes.fs, echoes.fc, start, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, half_angle, w
+    )
+    return image, np.sqrt(power), nearest > UNSURE
+
+
+def any_term(echoes, points, used):
+    """Whether any term counts at any of the points, of the traces `used` (ping, channel)."""
+    start, tx, rx, velocity, boresight, half_angle = _geometry(echoes)
+    return bool(
+        _any(
+            echoes.fs, start, echoes.n_sample, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, half_angle,
+            np.ascontiguousarray(used),
+        )
+    )  # fmt: skip
