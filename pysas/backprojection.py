@@ -52,7 +52,8 @@ def backproject(
     weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
         Real or complex factors of the terms; 0 leaves a trace out. "uniform-angle": each term weighs what
         `pysas.circular.view_weights` says, the arc of view angles that it stands for, so that the point spread function
-        is the same all over the image; a small part of `tol` is theirs, and a note tells where they need more.
+        is the same all over the image; a small part of `tol` is theirs. Where views change their order over the image every
+        pixel has its own arcs, some twenty times slower; `print(plan)` tells.
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     out : complex array of grid.shape, optional

@@ -93,7 +93,8 @@ class Circle {
             const double away = std::sqrt(there[0] * there[0] + there[1] * there[1] + there[2] * there[2]);
             const double returned = std::sqrt(back[0] * back[0] + back[1] * back[1] + back[2] * back[2]);
             const double x = there[0] * returned + back[0] * away, y = there[1] * returned + back[1] * away;
-            const bool seen = std::hypot(x, y) > nowhere * away * returned;
+            const double least = nowhere * away * returned;
+            const bool seen = x * x + y * y > least * least;
             same = same && seen == (seen_[i] != 0);
             seen_[i] = seen;
             const double a = std::atan2(y, x);
@@ -113,8 +114,13 @@ class Circle {
         sorted_ = false;
     }
 
-    // By angle. Neighbouring points see nearly one order.
+    // By angle. Neighbouring points see nearly one order, but for where it begins.
     void sort() {
+        if (sorted_)
+            std::rotate(order_.begin(),
+                        std::min_element(order_.begin(), order_.end(),
+                                         [this](std::size_t a, std::size_t b) { return angle_[a] < angle_[b]; }),
+                        order_.end());
         auto left = moves * static_cast<std::int64_t>(order_.size());
         for (std::size_t k = 1; sorted_ && k < order_.size(); ++k) {
             const std::size_t number = order_[k];

@@ -37,7 +37,7 @@ def _look(geometry, cos_beam, point, angle, seen, lit):
         rx, ry, rz = g[RX] - point[0], g[RX + 1] - point[1], g[RX + 2] - point[2]
         away, returned = np.sqrt(tx * tx + ty * ty + tz * tz), np.sqrt(rx * rx + ry * ry + rz * rz)
         x, y = tx * returned + rx * away, ty * returned + ry * away
-        seen[i] = np.hypot(x, y) > NOWHERE * away * returned
+        seen[i] = x * x + y * y > (NOWHERE * away * returned) ** 2
         count += seen[i]
         a = np.arctan2(y, x)
         angle[i] = a + TURN if a < 0 else a
@@ -113,6 +113,8 @@ def arcs(geometry, channels, cos_beam, points, order, out, pattern):
             out[p] = 0
             pattern[p] = 0
             continue
+        if count == n == turned.size:  # a neighbour's order, but for where it begins
+            turned = np.roll(turned, -np.argmin(angle[turned]))
         if count < n or turned.size < n or not _sort(turned, angle):
             some = np.flatnonzero(seen)
             turned = some[np.argsort(angle[some])]
