@@ -7,7 +7,7 @@ import pytest
 from test_tolerance import engine
 
 import pysas
-from pysas import circular, view_angles
+from pysas import circular, planner, view_angles
 from pysas.engine import native
 from pysas.scene import Scene
 
@@ -95,6 +95,16 @@ def test_a_tree_weighs_as_well(engine):
         image = pysas.ffbp(echoes, grid, tol=tol, fallback=False, weights=UNIFORM, backend=engine)
         assert image.report.factorised_share == 1
         assert error(image, truth) < tol
+
+
+def test_a_tree_and_direct_sums_weigh_alike(engine, monkeypatch):
+    """Some pixels through the tree, those across the record's ends directly, whichever would be faster."""
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    echoes = survey(pings=200, turn=0.25)
+    grid = pysas.Grid.plane(8 + 0.03 * np.arange(70), -1 + 0.05 * np.arange(40))
+    image = pysas.ffbp(echoes, grid, tol=1e-2, weights=UNIFORM, backend=engine)
+    assert 0.2 < image.report.factorised_share < 0.95
+    assert error(image, exact(echoes, grid)) < 1e-2
 
 
 GRIDS = {
