@@ -6,17 +6,19 @@ planner.py and choices.py, arithmetic in engine/.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, bounds, engine, factorised, planner, plans
+from pysas import _checks, bounds, engine, factorised, planner, plans, view_angles
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
-from pysas.engine.summation import Survey, Tile
+from pysas.engine.summation import Survey, Tile, Totals
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.scene import Scene
@@ -50,7 +52,8 @@ def backproject(
     weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
         Real or complex factors of the terms; 0 leaves a trace out. "uniform-angle": each term weighs what
         `pysas.circular.view_weights` says, the arc of view angles that it stands for, so that the point spread function
-        is the same all over the image; a small part of `tol` is theirs, and a note tells where they need more.
+        is the same all over the image; a small part of `tol` is theirs. Where views change their order over the image every
+        pixel has its own arcs, some twenty times slower; `print(plan)` tells.
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     out : complex array of grid.shape, optional
@@ -159,8 +162,6 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     notes = [] if scene.heard.any() else [scene.why_silent()]
     if plan.why_direct:
         notes.append(f"summed directly: {plan.why_direct}")
-    if scene.lattice is not None and not scene.lattice.kept:
-        notes.append(f"view-angle weights are within {scene.lattice.error:.2g} of their arcs, which change fast here")
 
     cpp = plan.backend == "cpp"
     peaks = (native.peaks if cpp else summation.peaks)(samples, plan.threads)
@@ -181,7 +182,7 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
         scale *= float(2.0 ** np.frexp(largest)[1])
     order = np.flatnonzero(used)
 
-    totals = summation.Totals(0.0, 0.0, 0)
+    totals = Totals(0.0, 0.0, 0)
     isa = engine.isa(plan.backend)
     if order.size:
         frame, reader = plan.frame, plan.reader
@@ -194,18 +195,23 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
                 plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
                 isa, progress,
             )  # fmt: skip
-        elif cpp:
-            assert isinstance(reader, native.Reader)
-            totals = native.accumulate(
-                samples, order, _survey(plan, order), reader, scale, frame, trigonometry, real, choices.batch, target,
-                plan.threads, isa, progress,
-            )  # fmt: skip
         else:
-            assert isinstance(reader, preparation.Interpolator)
-            totals = summation.accumulate(
-                samples, order, _survey(plan, order), reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count,
-                trigonometry, real, choices.batch, target, plan.threads, progress,
-            )  # fmt: skip
+
+            def add(frame: Frame, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
+                if isinstance(reader, native.Reader):
+                    return native.accumulate(
+                        samples, order, survey, reader, scale, frame, trigonometry, real, choices.batch, target,
+                        plan.threads, isa, tick,
+                    )  # fmt: skip
+                return summation.accumulate(
+                    samples, order, survey, reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count,
+                    trigonometry, real, choices.batch, target, plan.threads, tick,
+                )  # fmt: skip
+
+            survey = _survey(plan, order)
+            totals = (
+                _add_each(plan, order, survey, target, add, progress) if scene.each else add(frame, survey, target, progress)
+            )
         target *= scale
         if flat is None:
             image[...] = target.reshape(grid.shape)
@@ -222,6 +228,41 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
         choices=dict(plan.reported), notes=tuple(notes),
     )  # fmt: skip
     return Image(image, grid, report, scene.fc, scene.c)
+
+
+def _add_each(
+    plan: plans.Plan,
+    order: npt.NDArray[np.int64],
+    survey: Survey,
+    target: ComplexArray,
+    add: Callable[[Frame, Survey, ComplexArray, Callable[[float], None] | None], Totals],
+    progress: Callable[[float], None] | None,
+) -> Totals:
+    """`add` pixels with their own weights of traces `order`, so many at a time as these have room for."""
+    scene, grid, real = plan.scene, plan.grid, np.dtype(plan.choices.precision)
+    wanted = np.arange(grid.size) if grid.mask is None else np.flatnonzero(grid.mask)
+    at_once = min(native.SLAB, max(1, view_angles.BYTES // (real.itemsize * order.size * BLOCK)) * BLOCK)
+    totals = Totals(0.0, 0.0, 0)
+    for begin in range(0, wanted.size, at_once):
+        pixels = wanted[begin : begin + at_once]
+        frame = Frame(Grid.points(grid.coordinates(pixels)), scene, 0)
+        clock = time.perf_counter()
+        own = np.zeros((-(-pixels.size // frame.count) * frame.count, order.size), dtype=real)  # rows of whole blocks
+        view_angles.fill(scene, frame.points(0, pixels.size), order, own, plan.threads, plan.backend)
+        weighed = time.perf_counter() - clock
+        part = np.zeros((1, pixels.size), dtype=target.dtype)
+        tick = None
+        if progress is not None:
+
+            def tick(share: float, done: int = begin, more: int = pixels.size) -> None:
+                assert progress is not None
+                progress((done + more * share) / wanted.size)
+
+        some = add(frame, replace(survey, own=own), part, tick)
+        target[0, pixels] = part[0]
+        prepared, summed = totals.prepare_seconds + some.prepare_seconds, totals.sum_seconds + weighed + some.sum_seconds
+        totals = Totals(prepared, summed, totals.terms + some.terms)
+    return totals
 
 
 def _as_lines(image: ComplexArray, shape: tuple[int, int]) -> ComplexArray | None:

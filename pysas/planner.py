@@ -39,6 +39,7 @@ ROWS = 32
 SHARE_LEAVES = 0.35
 SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
+SHARE_LIT = 0.3  # of tol, at most, for what these change where views come in and go at beams' edges
 SHARE_RELIEF = 0.2  # of tol, for pixels read off the planes of their sub-images, where any are
 FARTHEST = 1e9  # wavelengths: beyond it sub-images have more nodes than memory holds, and float64 loses 1e-5 anyway
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
@@ -114,15 +115,15 @@ def plan(
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
     count = _checks.threads(threads)
-    left = tol - _weigh(scene, grid, SHARE_VIEWS * tol, method != "backprojection", count)
+    left = tol - _weigh(scene, grid, tol, method != "backprojection", count, name)
     choices = choose(scene, left, name)
     forest, why = None, ""
     if method != "backprojection":
         auto = method == "auto"
         forest, why = _plant(scene, grid, left, choices, name, fallback or auto, count, auto)
     choices = choices if forest is None else forest.choices
-    if scene.lattice is not None:
-        choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": scene.lattice.error})
+    if scene.uniform:
+        choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": _views_error(scene)})
     chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", "")
     return Plan(echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why)
 
@@ -173,7 +174,7 @@ def focus(
 def other_engine(plan: Plan) -> str:
     """The engine that a plan does not use: its predicted time, or why it cannot be."""
     scene = plan.scene
-    left = plan.tol - (0.0 if scene.lattice is None else min(SHARE_VIEWS * plan.tol, scene.lattice.error))
+    left = plan.tol - _views_error(scene)
     if plan.forest is not None:
         choices = choose(scene, left, plan.backend)
         seconds = _direct_seconds(scene, choices, plan.backend)
@@ -187,14 +188,32 @@ def other_engine(plan: Plan) -> str:
     return f"ffbp: {why}"
 
 
-def _weigh(scene: Scene, grid: Grid, error: float, tree: bool, threads: int) -> float:
-    """Give a scene its weights uniform in view angle, if it asks for them; their share of tol."""
+def _weigh(scene: Scene, grid: Grid, tol: float, tree: bool, threads: int, backend: str) -> float:
+    """Give a scene its weights uniform in view angle, if it asks for them; what error they bring."""
     if not scene.uniform or not scene.heard.any():
         return 0.0
-    node = _node(scene) if tree else 0.0  # which also lie around the image
-    stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
-    scene.lattice = view_angles.lattice(scene, grid, error, LONGEST_BLOCK / 2 * node, stretch, threads)
-    return min(error, float(scene.lattice.error))
+    for node in (_node(scene), 0.0) if tree else (0.0,):  # those of sub-images also lie around the image
+        stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
+        scene.lattice = view_angles.lattice(
+            scene, grid, SHARE_VIEWS * tol, _beyond(node), stretch, threads, backend, SHARE_LIT * tol
+        )
+        if scene.lattice is not None:
+            break
+    if scene.lattice is None:
+        scene.each, scene.lines = True, None
+    return _views_error(scene)
+
+
+def _views_error(scene: Scene) -> float:
+    """What weights uniform in view angle are wrong by: a lattice's error, or the rounding of arcs."""
+    if scene.lattice is not None:
+        return float(scene.lattice.error)
+    return 2.0**-24 if scene.each and scene.dtype == np.complex64 else 0.0
+
+
+def _beyond(node: float) -> float:
+    """How far around an image its sub-images' nodes are, m."""
+    return LONGEST_BLOCK * node
 
 
 def _node(scene: Scene) -> float:
@@ -278,6 +297,10 @@ def _site(
         return None, f"range beyond {FARTHEST:g} wavelengths"
     if not scene.heard.any():
         return None, "the grid lies outside the recorded window"
+    if scene.each:
+        return None, "view-angle weights are every pixel's own: views change their order over the image"
+    if scene.lattice is not None and scene.lattice.beyond < _beyond(_node(scene)):
+        return None, "views change their order around the image"
     if scene.lattice is not None and (LONGEST_BLOCK - 1) * _node(scene) > scene.lattice.longest:
         return None, "view-angle weights change fast along the rays of sub-images"
     share = SHARE_LEAVES * tol

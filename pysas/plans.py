@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pysas import view_angles
 from pysas._checks import ComplexArray
 from pysas.costs import prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
@@ -193,6 +194,7 @@ class Plan:
                 f"  terms          {scene.traces * scene.pixels:.4g} at most",
                 *(self.forest.describe() if self.forest is not None else []),
                 *([f"  direct sum     {self.why_direct}"] if self.why_direct else []),
+                *(["  view angles    every pixel's own: views change their order over the image"] if scene.each else []),
                 f"  predicted      error {c.predicted_error:.2g}, time {self.predicted_seconds:.2g} s, "
                 f"memory {self.predicted_memory / 2**20:.0f} MB beyond the input",
             ]
@@ -207,6 +209,8 @@ class Plan:
         if self.forest is not None:
             return self.forest.seconds / self.threads
         direct = sum_seconds(self.scene, self.choices, self.backend) + prepare_seconds(self.scene, self.choices)
+        if self.scene.each:
+            direct += 1e-9 * view_angles.ARC_NS[self.backend] * self.scene.pixels * self.scene.traces
         return direct / self.threads
 
     @property
@@ -223,6 +227,8 @@ class Plan:
             work += self.forest.store_bytes
         if scene.lattice is not None:
             work += scene.lattice.value.nbytes
+        if scene.each:
+            work += min(view_angles.BYTES, self.scene.pixels * self.scene.traces * item // 2)
         return int(self.grid.size * self.dtype.itemsize + work)
 
     def explain(self) -> str:

@@ -52,6 +52,7 @@ class Scene:
         self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
         self.lattice: Any = None  # weights that change from pixel to pixel, see view_angles.py
+        self.each = False  # these are computed pixel by pixel
         self.low, self.high = low, high
         self.bottom, self.top = float(low[2]), float(high[2])
         near_tx, far_tx = _distances(tx, low, high)

@@ -7,7 +7,8 @@ import pytest
 from test_tolerance import engine
 
 import pysas
-from pysas import circular, view_angles
+from pysas import circular, planner, view_angles
+from pysas.engine import native
 from pysas.scene import Scene
 
 UNIFORM = "uniform-angle"
@@ -96,6 +97,16 @@ def test_a_tree_weighs_as_well(engine):
         assert error(image, truth) < tol
 
 
+def test_a_tree_and_direct_sums_weigh_alike(engine, monkeypatch):
+    """Some pixels through the tree, those across the record's ends directly, whichever would be faster."""
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    echoes = survey(pings=200, turn=0.25)
+    grid = pysas.Grid.plane(8 + 0.03 * np.arange(70), -1 + 0.05 * np.arange(40))
+    image = pysas.ffbp(echoes, grid, tol=1e-2, weights=UNIFORM, backend=engine)
+    assert 0.2 < image.report.factorised_share < 0.95
+    assert error(image, exact(echoes, grid)) < 1e-2
+
+
 GRIDS = {
     "points": pysas.Grid.points(np.random.default_rng(2).uniform((-9, -9, -0.5), (9, 9, 0.5), (90, 3))),
     "volume": pysas.Grid.volume(6 + 0.02 * np.arange(40), 4 + 0.02 * np.arange(9), [0.0, 0.5, 1.0, 1.5]),
@@ -153,30 +164,207 @@ TRACKS = {
 }
 
 
-@pytest.mark.parametrize("channels", (1, 3))
-@pytest.mark.parametrize("name", TRACKS)
-def test_arcs_are_those_of_the_rule(name, channels):
-    """Two programs of one rule: vectors over many places here, place by place in `circular`."""
-    tx = TRACKS[name]
-    rx = tx[:, None] + 0.3 * np.arange(channels)[:, None] * [1.0, 0.5, 0.2]
-    echoes = pysas.Echoes(np.zeros((len(tx), channels, 16), np.complex64), fs=1e4, fc=1e5, tx=tx, rx=rx, bandwidth=8e3)
-    points = np.random.default_rng(4).uniform((-6, -6, -1), (6, 6, 1), (40, 3))
+BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
+
+
+def arcs_of(tx, rx, points, backend):
+    """Arcs by a backend, and by the rule."""
+    echoes = pysas.Echoes(
+        np.zeros((len(tx), rx.shape[1], 16), np.complex64), fs=1e4, fc=1e5, tx=tx, rx=rx, bandwidth=8e3
+    )  # fmt: skip
     grid = pysas.Grid.points(points)
     scene = Scene(echoes, grid, UNIFORM)
-    found = view_angles.arcs(scene, points - scene.origin)
-    np.testing.assert_allclose(found, circular.view_weights(echoes, grid).reshape(40, -1), rtol=1e-7, atol=1e-9)
+    found, patterns = view_angles.arcs(scene, points - scene.origin, 1, backend)
+    return found, circular.view_weights(echoes, grid).reshape(len(points), -1), patterns
 
 
-def test_where_arcs_change_too_fast_a_note_says_so():
-    """An image across the track: no lattice follows weights whose nearest view turns by pi in a pixel."""
-    tx = positions(2 * np.pi * np.arange(200) / 200, 2.0)
-    echoes = pysas.Echoes(np.ones((200, 400), np.complex64), fs=26e3, fc=60e3, tx=tx, rx=tx, bandwidth=20e3)
-    image = pysas.backproject(
-        echoes, pysas.Grid.plane(0.05 * np.arange(-60, 61), 0.05 * np.arange(-60, 61)), 1e-4, weights=UNIFORM
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("channels", (1, 3))
+@pytest.mark.parametrize("name", TRACKS)
+def test_arcs_are_those_of_the_rule(name, channels, backend):
+    """Three programs of one rule: place by place in `circular`, and each engine's."""
+    tx = TRACKS[name]
+    rx = tx[:, None] + 0.3 * np.arange(channels)[:, None] * [1.0, 0.5, 0.2]
+    points = np.random.default_rng(4).uniform((-6, -6, -1), (6, 6, 1), (40, 3))
+    found, expected, _ = arcs_of(tx, rx, points, backend)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_point_on_a_transducer_is_not_seen_from_there(backend):
+    """No direction, no weight, on the phase centre and straight below it; the others share the circle."""
+    tx = TRACKS["even"]
+    points = np.concatenate([tx[7:9], tx[7:9] - [0, 0, 2.0]])
+    found, expected, patterns = arcs_of(tx, tx[:, None], points, backend)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_array_equal(found[[0, 1, 2, 3], [7, 8, 7, 8]], 0)
+    assert not patterns.any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_rounding_does_not_decide_about_a_gap_of_four(backend):
+    """Three pings missing of an even circle, seen from its centre: the gap is four times its neighbours, however it is turned.
+
+    It is no opening: the views at its ends have (4 + 1)/2 spacings, the others 1, and the mean over 57 views is 1.
+    """
+    turned = np.random.default_rng(5).uniform(0, 2 * np.pi, 40)
+    expected = np.full(57, 57 / 60)
+    expected[[0, -1]] *= 2.5
+    for turn in turned:
+        tx = positions(turn + 2 * np.pi * np.arange(57) / 60)
+        found, ruled, _ = arcs_of(tx, tx[:, None], np.zeros((1, 3)), backend)
+        np.testing.assert_allclose(ruled[0], expected, rtol=1e-9)
+        np.testing.assert_allclose(found[0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_coincident_views_share_an_arc_equally(backend):
+    """Pings repeated, exactly or but for rounding, in any order: together they weigh what one of them would."""
+    rng = np.random.default_rng(6)
+    once = positions(np.sort(rng.uniform(0, 2, 40)))
+    times = rng.integers(1, 4, 40)
+    order = rng.permutation(np.repeat(np.arange(40), times))
+    points = rng.uniform((-3, -3, 0), (3, 3, 0), (10, 3))
+    one = arcs_of(once, once[:, None], points, backend)[0]
+    shared = (one / times)[:, order]
+    for noise in (0.0, 1e-13):
+        tx = once[order] + noise * rng.standard_normal((order.size, 3))
+        found, expected, _ = arcs_of(tx, tx[:, None], points, backend)
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
+        np.testing.assert_allclose(found, shared / shared.mean(axis=1, keepdims=True), rtol=1e-7)
+
+
+def noise_from(tx, grid, channels=1, beam=None, seed=0, dtype=np.complex64):
+    """Noise heard by a sonar at `tx` during all travel times to the grid."""
+    rng = np.random.default_rng(seed)
+    rx = tx[:, None] + [0.04, 0.01, 0.0] * np.arange(channels)[:, None]
+    distance = np.linalg.norm(grid.coordinates()[:, None] - tx, axis=-1)
+    first, last = 2 * (max(distance.min() - 1, 0)) / 1500, 2 * (distance.max() + 1) / 1500
+    samples = int((last - first) * 26e3)
+    spectrum = rng.standard_normal((len(tx), channels, samples)) + 1j * rng.standard_normal((len(tx), channels, samples))
+    data = np.fft.ifft(spectrum * (np.abs(np.fft.fftfreq(samples)) < 0.5 / 1.3)).astype(dtype)
+    return pysas.Echoes(data, fs=26e3, fc=60e3, tx=tx, rx=rx, t0=first, bandwidth=20e3, beam=beam)
+
+
+def line(pings, length, y=0.0):
+    return np.stack([np.linspace(-length / 2, length / 2, pings), np.full(pings, y), np.zeros(pings)], axis=1)
+
+
+def turns(pings, times=1):
+    return 2 * np.pi * times * np.arange(pings) / pings
+
+
+def walk(rng, pings):
+    return np.concatenate(
+        [np.cumsum(rng.standard_normal((pings, 2)), axis=0) * 0.7, 0.02 * rng.standard_normal((pings, 1))], axis=1
     )
-    assert np.isfinite(image.data).all()
-    assert any("view-angle weights are within" in note for note in image.report.notes)
-    assert image.report.predicted_error > 1e-4
+
+
+def back(rng, pings):
+    return line(pings, 10)[::-1] + rng.normal(0, 0.01, (pings, 3))
+
+
+CROSSING = {
+    "figure eight": lambda rng, n: 8 * np.stack([np.sin(turns(n)), np.sin(2 * turns(n)) / 2, 0 * turns(n)], axis=1),
+    "spiral": lambda rng, n: np.linspace(2, 8, n)[:, None] * positions(turns(n, 3), 1.0) - [0, 0, 1],
+    "two lines": lambda rng, n: np.concatenate([line(n // 2, 10), line(n // 2, 10, 0.5) + [0.03, 0, 0]]),
+    "there and back": lambda rng, n: np.concatenate(
+        [line(n // 2, 10), line(n // 2, 10)[::-1] + rng.normal(0, 0.01, (n // 2, 3))]
+    ),
+    "the same way back": lambda rng, n: np.concatenate([line(n // 2, 10), line(n // 2, 10)[::-1]]),
+    "random walk": walk,
+    "standing still": lambda rng, n: np.zeros((n, 3)) + rng.choice([0.0, 1e-13, 1e-3]) * rng.standard_normal((n, 3)),
+    "pings repeated": lambda rng, n: np.repeat(walk(rng, n // 3), 3, axis=0),
+}
+
+
+@functools.cache
+def crossing_case(name, seed):
+    """A track of a kind, an image beside it, over it or in line with it, and what it should hold."""
+    rng = np.random.default_rng([seed, list(CROSSING).index(name)])
+    tx = CROSSING[name](rng, int(rng.integers(20, 50)) * 2)
+    channels = int(rng.choice([1, 1, 2]))
+    beam = None
+    if rng.random() < 0.3:
+        beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=rng.uniform(0.4, 1.5))
+    x, y = np.round(rng.uniform((-6, 2), (6, 14)), 1)  # round: pixels lie on tracks and in line with them
+    step, width = rng.choice([0.02, 0.05, 0.25]), int(rng.choice([1, 9, 33, 70]))
+    grid = pysas.Grid.plane(x + step * np.arange(width), y + step * np.arange(int(rng.choice([1, 12]))))
+    if name in ("random walk", "standing still") and rng.random() < 0.5:
+        grid = pysas.Grid.points(rng.uniform((-8, -8, -0.5), (8, 8, 0.5), (60, 3)))
+    echoes = noise_from(tx, grid, channels, beam, seed)
+    return echoes, grid, exact(echoes, grid)
+
+
+@pytest.mark.filterwarnings("ignore:.*:UserWarning")  # a beam may light nothing
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", CROSSING)
+def test_tracks_that_cross_themselves_keep_tol(name, seed, engine):
+    echoes, grid, truth = crossing_case(name, seed)
+    for tol in (1e-1, 1e-3):
+        image = pysas.focus(echoes, grid, tol=tol, weights=UNIFORM, backend=engine, threads=1)
+        assert image.report.predicted_error <= tol
+        assert truth[2] == 0 or error(image, truth) < tol
+
+
+def test_beams_edges_across_the_image(engine):
+    """Each view that comes in or goes changes the mean of those that light a pixel."""
+    tx = line(120, 30)
+    beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=0.3)
+    grid = pysas.Grid.plane(0.05 * np.arange(64), 20 + 0.05 * np.arange(20))
+    echoes = noise_from(tx, grid, beam=beam)
+    truth = exact(echoes, grid, 40)
+    for tol in (1e-1, 1e-2, 1e-3, 1e-4):
+        image = pysas.backproject(echoes, grid, tol=tol, weights=UNIFORM, backend=engine)
+        assert error(image, truth) < tol and image.report.predicted_error <= tol
+
+
+@functools.cache
+def far_below_case():
+    tx = CROSSING["figure eight"](None, 40)
+    grid = pysas.Grid.plane(0.05 * np.arange(12), 12 + 0.05 * np.arange(6))
+    echoes = noise_from(tx, grid, dtype=np.complex128)
+    return echoes, grid, exact(echoes, grid)
+
+
+def test_float64_keeps_what_no_float32_lattice_could(engine):
+    for echoes, grid, truth in ((*double_case()[:1], PLANE, double_case()[1]), far_below_case()):
+        image = pysas.backproject(echoes, grid, tol=1e-9, weights=UNIFORM, backend=engine)
+        assert error(image, truth) < 1e-9 and image.report.predicted_error <= 1e-9
+
+
+def test_an_image_across_the_track(engine):
+    """No lattice follows weights whose nearest view turns by pi in a pixel."""
+    tx = positions(turns(80), 2.0)
+    grid = pysas.Grid.plane(0.1 * np.arange(-30, 31), 0.1 * np.arange(-30, 31), mask=np.indices((61, 61)).sum(axis=0) % 3 == 0)
+    echoes = noise_from(tx, grid)
+    wanted = np.flatnonzero(grid.mask)
+    some, *rest = exact(echoes, pysas.Grid.points(grid.coordinates(wanted)), 30)
+    truth = wanted[some], *rest
+    for method in ("backprojection", "ffbp"):
+        plan = pysas.plan(echoes, grid, 1e-4, method, backend=engine, weights=UNIFORM)
+        assert "every pixel's own" in str(plan)
+        shares = []
+        image = plan(echoes.data, progress=shares.append)
+        assert not image.data[~grid.mask].any() and shares[-1] == 1 and shares == sorted(shares)
+        assert error(image, truth) < 1e-4
+        assert image.report.predicted_error <= 1e-4
+    with pytest.raises(ValueError, match="views change their order"):
+        pysas.ffbp(echoes, grid, fallback=False, weights=UNIFORM, backend=engine)
+    images = [pysas.backproject(echoes, grid, weights=UNIFORM, backend=engine, threads=n).data for n in (1, 3)]
+    np.testing.assert_array_equal(*images)
+
+
+def test_pixels_weighed_in_parts(engine, monkeypatch):
+    """Weights of all pixels at once may be more than memory should hold."""
+    tx = CROSSING["figure eight"](None, 40)
+    grid = pysas.Grid.plane(0.05 * np.arange(40), 12 + 0.05 * np.arange(10))
+    echoes = noise_from(tx, grid)
+    whole = pysas.backproject(echoes, grid, weights=UNIFORM, backend=engine)
+    monkeypatch.setattr(view_angles, "BYTES", 1)
+    parts = pysas.backproject(echoes, grid, weights=UNIFORM, backend=engine)
+    np.testing.assert_allclose(parts.data, whole.data, rtol=1e-6, atol=1e-6 * np.abs(whole.data).max())
+    assert parts.report.terms == whole.report.terms
 
 
 def test_a_wrong_name_is_told():

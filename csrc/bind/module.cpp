@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "core/arcs.hpp"
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
 #include "core/factorised.hpp"
@@ -161,8 +162,8 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
                        int kind, const Array<double>& nodes, const Array<double>& fit,
                        const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
                        const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
-                       int count, const LatticeArrays& weights, const py::array& image, int threads,
-                       const std::string& isa, const py::object& tick) {
+                       int count, const LatticeArrays& weights, const std::optional<py::array>& own,
+                       const py::array& image, int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const Lattice lattice = lattice_of(weights, geometry.shape(0));
@@ -174,6 +175,13 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
         std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
         std::copy_n(fit.data(), max_nodes * max_nodes, &terms.nodes.fit[0][0]);
         const auto to = view<decltype(pixel), 2>(image);
+        if (own) {
+            const auto each = view<const Real, 2>(*own);
+            if (!points || each.shape[0] < (to.shape[1] + count - 1) / count * count ||
+                each.shape[1] != terms.n_trace || each.stride[0] != terms.n_trace || each.stride[1] != 1)
+                throw py::value_error("own weights: (point, trace) of whole blocks of points");
+            terms.weights = each.data;
+        }
         const Frame frame{pointer(first),
                           pointer(step),
                           pointer(points),
@@ -187,6 +195,30 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
     if (table.itemsize() == 8) return call(double(), std::complex<double>());
     if (image.itemsize() == 8) return call(float(), std::complex<float>());
     return call(float(), std::complex<double>());
+}
+
+py::array_t<std::uint64_t> view_arcs(const Array<double>& geometry, int channels, double cos_beam,
+                                     const Array<double>& points, const Array<std::int64_t>& order,
+                                     const py::array& out, int threads, const py::object& tick) {
+    const Tick check = ticker(tick);
+    if (geometry.ndim() != 2 || geometry.shape(1) != 15 || points.ndim() != 2 || points.shape(1) != 3)
+        throw py::value_error("arcs: rows of geometry and of points");
+    const Viewers viewers{reinterpret_cast<const Trace*>(geometry.data()), geometry.shape(0), channels, cos_beam};
+    py::array_t<std::uint64_t> pattern(points.shape(0));
+    std::uint64_t* const patterns = pattern.mutable_data();
+    const auto call = [&](auto real) {
+        const auto to = view<decltype(real), 2>(out);
+        if (to.shape[0] < points.shape(0) || to.shape[1] != order.size() || to.stride[0] != order.size() ||
+            to.stride[1] != 1)
+            throw py::value_error("arcs: out of (point, trace)");
+        const py::gil_scoped_release gil;
+        arcs(viewers, points.data(), points.shape(0), order.data(), order.size(), to.data, patterns, threads, check);
+    };
+    if (out.itemsize() == 4)
+        call(float());
+    else
+        call(double());
+    return pattern;
 }
 
 // See pysas.engine.tree.SubImages for what the rows hold.
@@ -372,6 +404,8 @@ PYBIND11_MODULE(_core, m) {
     m.def("plant", &plant_group, "geometry"_a, "centres"_a, "traces"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
           "rate"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
-          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "image"_a, "threads"_a, "isa"_a,
-          "tick"_a, "Add a batch's terms to an image; returns how many.");
+          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "own"_a, "image"_a, "threads"_a,
+          "isa"_a, "tick"_a, "Add a batch's terms to an image; returns how many.");
+    m.def("arcs", &view_arcs, "geometry"_a, "channels"_a, "cos_beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a,
+          "tick"_a, "Arcs of view angle at points, and the pattern of the views at each.");
 }

@@ -156,7 +156,7 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
                 if (job.rows == 0) break;
                 job.begin = begin;
                 job.count = static_cast<int>(end - begin);
-                job.weights = weights.of_rays(part, image, rays, job.rows, begin);
+                job.weights = weights.of_rays(part, image, rays, job.rows, begin, job.count);
                 kernels.leaf(job);
                 for (int r = 0; r < job.rows; ++r) {
                     std::copy_n(re + r * block, job.count, image.re + rays[r] * image.stride + begin);

@@ -64,7 +64,8 @@ struct Terms {
     Model model;
     Kind kind;
     Nodes nodes;
-    const Lattice* lattice;  // or null: every term weighs 1
+    const Lattice* lattice;  // or null: every term weighs 1, or what `weights` say
+    const Real* weights;     // of a list of points, (point, n_trace), padded to whole rows of blocks; or null
 };
 
 constexpr int weight_nodes = 5;

@@ -108,7 +108,14 @@ const Weights<Real>* TileWeights<Real>::of_lines(const Terms<Real>& terms, const
 }
 
 template <typename Real>
-const Weights<Real>* TileWeights<Real>::of_points(const Terms<Real>& terms, const double* points, int rows, int count) {
+const Weights<Real>* TileWeights<Real>::of_points(const Terms<Real>& terms, const double* points, int rows, int count,
+                                                  std::int64_t first) {
+    if (terms.weights) {
+        weights_.n_trace = terms.n_trace;
+        weights_.lines = rows;
+        weights_.value = terms.weights + first * terms.n_trace;
+        return &weights_;
+    }
     if (!terms.lattice) return nullptr;
     std::vector<double> x, y;
     for (int i = 0; i < rows * count; ++i) {
@@ -120,14 +127,15 @@ const Weights<Real>* TileWeights<Real>::of_points(const Terms<Real>& terms, cons
 
 template <typename Real>
 const Weights<Real>* TileWeights<Real>::of_rays(const Terms<Real>& terms, const SubImage& image,
-                                                const std::int64_t* rays, int rows, std::int64_t begin) {
+                                                const std::int64_t* rays, int rows, std::int64_t begin, int count) {
     if (!terms.lattice) return nullptr;
+    const int width = std::max(count, least_width);
     const double height = image.centre[2] - image.plane;
     const auto low = static_cast<double>(rays[0]), high = static_cast<double>(rays[rows - 1]);
     double ground[weight_nodes];
     for (int j = 0; j < weight_nodes; ++j) {
         const double slant =
-            (static_cast<double>(image.i0 + begin) + j * (block - 1.0) / (weight_nodes - 1)) * image.step;
+            (static_cast<double>(image.i0 + begin) + j * (width - 1.0) / (weight_nodes - 1)) * image.step;
         ground[j] = std::sqrt(std::max(slant * slant - height * height, 0.0));
     }
     const bool few = (high - low) * image.dangle * ground[weight_nodes - 1] <= terms.lattice->longest;

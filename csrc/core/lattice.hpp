@@ -15,11 +15,12 @@ class TileWeights {
   public:
     // A tile of straight lines (rows, 6), of `count` pixels each.
     const Weights<Real>* of_lines(const Terms<Real>& terms, const double* lines, int rows, int count);
-    // Points (rows * count, 3).
-    const Weights<Real>* of_points(const Terms<Real>& terms, const double* points, int rows, int count);
-    // A block of nodes, from `begin` on, of some rays of a sub-image.
+    // Points (rows * count, 3), the first of them number `first` of the list.
+    const Weights<Real>* of_points(const Terms<Real>& terms, const double* points, int rows, int count,
+                                   std::int64_t first);
+    // `count` nodes, from `begin` on, of some rays of a sub-image.
     const Weights<Real>* of_rays(const Terms<Real>& terms, const SubImage& image, const std::int64_t* rays, int rows,
-                                 std::int64_t begin);
+                                 std::int64_t begin, int count);
 
   private:
     void lie(int row, double share);

@@ -151,7 +151,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             }
             if (!any) return;
             job.weights = straight ? weights.of_lines(terms, lines, job.rows, job.count)
-                                   : weights.of_points(terms, job.points, job.rows, job.count);
+                                   : weights.of_points(terms, job.points, job.rows, job.count, left);
             run_sum(kernels, job);
             counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * job.count);
             using value = typename Pixel::value_type;

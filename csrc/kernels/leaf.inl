@@ -241,7 +241,7 @@ void leaf_traces(LeafJob& job) {
             drifts<V, Kind::stop_and_hop>(job, trace, at, ratio, drift);
         else
             drifts<V, Kind::moving>(job, trace, at, ratio, drift);
-        if (drift.level) levels<V>(*job.weights, i, rows, block, level);
+        if (drift.level) levels<V>(*job.weights, i, rows, job.count, level);
         expand<V>(job, phase, static_cast<float>(ratio), terms.plane_stride, drift);
         for (int s = 0; s < used; ++s) {
             const float* key = drift.key[s];

@@ -19,7 +19,8 @@ from pysas.echoes import Echoes
 from pysas.grid import Grid
 
 COINCIDENT = 1e-9  # rad: views nearer than this are one
-OPENING = 4.0  # a gap this many times as wide as those beside it is none of the track's own
+OPENING = 4.0  # a gap more than this many times as wide as those beside it is none of the track's own
+TIE = 1e-6  # by this part more at least: rounding must not decide about gaps that are whole multiples of others
 
 Bool = npt.NDArray[np.bool_]
 
@@ -87,9 +88,10 @@ def view_weights(echoes: Echoes, grid: Grid, pixels: npt.ArrayLike | None = None
     -----
     The views of a pixel are sorted by angle, and each has the arc from half-way to its neighbour on one side to half-way on
     the other (a Voronoi cell of the circle), whether or not a beam lights the pixel from there. Views within 1e-9 rad of
-    each other share one arc. A gap more than 4 times as wide as any of the 2 channel + 2 gaps before it, or any of those
-    after it, is an opening - the end of a track, a missing sector - and belongs to nobody: the views at its ends have arcs
-    twice their inner half. A lone view between two openings has the median arc. Receivers are taken where they are at
+    each other share one arc equally. A gap more than 4.000004 times as wide as any of the 2 channel + 2 gaps before it, or
+    any of those after it, is an opening - the end of a track, a missing sector - and belongs to nobody: the views at its
+    ends have arcs twice their inner half; 4 times is none, so that rounding does not decide where three pings of an even
+    circle are missing. A lone view between two openings has the median arc. Receivers are taken where they are at
     transmission. O(view log view) per pixel.
     """
     if not isinstance(echoes, Echoes):
@@ -153,7 +155,7 @@ def _arcs(gaps: FloatArray, channels: int) -> FloatArray:
     # so many that overlapping pings of an array, or a few nearly coincident ones, do not make their neighbours look wide
     steps = range(1, 1 + min(2 * channels + 2, (n - 1) // 2))
     before, after = (np.max([np.roll(gaps, side * step) for step in steps], axis=0) for side in (1, -1))
-    opening = gaps > OPENING * np.minimum(before, after)
+    opening = gaps > OPENING * (1 + TIE) * np.minimum(before, after)
     after = np.where(opening, 0.0, gaps / 2)
     before = np.roll(after, 1)
     ends = opening | np.roll(opening, 1)

@@ -62,6 +62,7 @@ def add(
     mask: npt.NDArray[np.bool_] | None,
     count: int,
     weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
+    own: npt.NDArray[Any] | None,
     image: npt.NDArray[Any],
     threads: int,
     isa: str,
@@ -69,7 +70,23 @@ def add(
 ) -> int:
     """Add a batch's terms to `image` (line, pixel); returns how many.
 
-    `weights` : of the terms, at places (y, x, trace), and view_angles.Lattice.axes.
+    `weights` : of the terms, at places (y, x, trace), and view_angles.Lattice.axes; `own` : those of a list of points,
+    (point, trace) of the table's reals, with rows for whole blocks of points.
+    """
+
+def arcs(
+    geometry: npt.NDArray[np.float64],
+    channels: int,
+    cos_beam: float,
+    points: npt.NDArray[np.float64],
+    order: npt.NDArray[np.int64],
+    out: npt.NDArray[Any],
+    threads: int,
+    tick: Callable[[float], object] | None,
+) -> npt.NDArray[np.uint64]:
+    """Arcs of view angle that traces `order` stand for at points, in `out` (point or more, trace); the views' patterns.
+
+    See csrc/core/arcs.hpp.
     """
 
 class Tree:

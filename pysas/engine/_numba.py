@@ -276,14 +276,14 @@ def _between(place, first, step, n):
 @njit(nogil=True, cache=True, fastmath=_FAST)
 def weights_at(lattice, axes, x, y):
     """Weights (place, trace) at places x, y off a lattice (y, x, trace) of first place and steps `axes`: cubics."""
-    out = np.zeros((x.size, lattice.shape[2]), dtype=np.float32)
+    out = np.zeros((x.size, lattice.shape[2]), dtype=lattice.dtype)
     for p in range(x.size):
         left, along = _between(x[p], axes[0], axes[2], lattice.shape[1])
         top, across = _between(y[p], axes[1], axes[3], lattice.shape[0])
         to = out[p]
         for j in range(4):
             for i in range(4):
-                factor = np.float32(across[j] * along[i])
+                factor = lattice.dtype.type(across[j] * along[i])
                 value = lattice[top + j, left + i]
                 for k in range(to.size):
                     to[k] += factor * value[k]
@@ -422,7 +422,8 @@ def sum_tile(
     half : real
         0.5 in the type of the arithmetic.
     sin_terms, cos_terms, pairs : tuples
-    lattice, axes : (y, x, trace) float32, weights of the terms, or no traces; its first place and steps, x, y, dx, dy
+    lattice, axes : (y, x, trace) float32, weights of the terms, or no traces; its first place and steps, x, y, dx, dy; or
+        (block, count, trace), each pixel's own, and nothing
     out : (block, count) complex
         Added to.
 
@@ -449,8 +450,10 @@ def sum_tile(
             for axis in range(3):
                 middle = blocks[r, axis] + blocks[r, 3 + axis] * (count - 1) / 2
                 node_points[axis, j * rows + r] = middle + nodes[j] * blocks[r, 3 + axis] * (count - 1) / 2
-    weights = np.empty((rows, WEIGHTS, 0), dtype=np.float32)
-    if lattice.shape[2]:
+    weights = np.empty((rows, WEIGHTS, 0), dtype=lattice.dtype)
+    if axes.size == 0:
+        weights = lattice
+    elif lattice.shape[2]:
         if straight:
             ends = np.empty((2, WEIGHTS * rows))
             for r in range(rows):

@@ -212,7 +212,7 @@ def accumulate(
             terms += engine.add(
                 rows, filter.degree, trigonometry[0], trigonometry[1], some.geometry, survey.model, survey.kind, at, fit,
                 frame.first if frame.straight else None, frame.step if frame.straight else None, points, mask, frame.count,
-                some.lattice, image[:, lo:hi], threads, isa, tick,
+                some.lattice, None if some.own is None else some.own[lo:], image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)

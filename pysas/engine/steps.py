@@ -134,8 +134,8 @@ class Compiled:
         return int(
             native.core().add(
                 self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry, survey.model,
-                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, survey.lattice, image, s.threads, s.isa,
-                tick,
+                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, survey.lattice, None, image, s.threads,
+                s.isa, tick,
             )
         )  # fmt: skip
 

@@ -32,7 +32,8 @@ class Survey:
 
     geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,);
     kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,); lattice : weights that change from pixel to pixel, at
-    places (y, x, trace), float32, and view_angles.Lattice.axes, or None.
+    places (y, x, trace), float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of
+    the arithmetic's type, with rows for whole blocks, or None.
     """
 
     geometry: FloatArray
@@ -41,13 +42,16 @@ class Survey:
     kind: int
     model: FloatArray
     lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
+    own: npt.NDArray[Any] | None = None
 
     def part(self, begin: int, end: int) -> Survey:
         """Traces [begin, end)."""
         lattice = self.lattice
         if lattice is not None:
             lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
-        return Survey(self.geometry[begin:end], self.start[begin:end], self.weights[begin:end], self.kind, self.model, lattice)
+        own = None if self.own is None else np.ascontiguousarray(self.own[:, begin:end])
+        some = slice(begin, end)
+        return Survey(self.geometry[some], self.start[some], self.weights[some], self.kind, self.model, lattice, own)
 
     def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
         """The lattice as Numba's kernels take it: without traces where there is none."""
@@ -173,11 +177,13 @@ def accumulate(
         now = time.perf_counter()
         prepared += now - clock
 
-        lattice, axes = survey.part(begin, begin + part.size).weighing()
+        now_summed = survey.part(begin, begin + part.size)
+        lattice, axes = now_summed.weighing()
 
         def add(
-            task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table, lattice: Any = lattice, axes: Any = axes
-        ) -> None:
+            task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table, lattice: Any = lattice, axes: Any = axes,
+            own: Any = now_summed.own,
+        ) -> None:  # fmt: skip
             tile = tiles[task]
             coords, blocks, active = locate(tile)
             if not active.any():
@@ -185,6 +191,8 @@ def accumulate(
             # a line's last block ends with it: no samples were prepared for pixels beyond
             width = min(count, tile.right - tile.left) if straight else count
             out = np.zeros((blocks.shape[0], width), dtype=complex_kind)
+            if own is not None:
+                lattice, axes = own[tile.left : tile.left + out.size].reshape(*out.shape, -1), np.empty(0)
             terms = _numba.sum_tile(
                 coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, places(width, kind), nodes,
                 fit, half, sines, cosines, pairs, lattice, axes, out,
