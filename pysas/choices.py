@@ -51,7 +51,7 @@ def choose(
     if single:
         run = bounds.longest_run(budget, sums)
         # and as many batches, of 8 traces at least, as the image may be a sum of: see Plan.wide
-        batches = min(-(-scene.traces // 8), run // 4)
+        batches = min(-(-scene.traces // 8), run // 8)
         errors["running sums"] = bounds.running_error(min(run, scene.traces), sums) + bounds.running_error(batches, 1)
     shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
     shared["run"] = run

@@ -218,7 +218,7 @@ class Plan:
         rounds = -(-self.scene.traces // c.batch)
         if self.forest is not None:
             rounds += max(len(sheet.trees) for sheet in self.forest.sheets)
-        return bool(self.dtype == np.complex64 and rounds > c.run // 4)
+        return bool(self.dtype == np.complex64 and rounds > c.run // 8)
 
     @property
     def predicted_memory(self) -> int:
