@@ -76,7 +76,7 @@ def test_leaves_of_very_many_traces_keep_tol():
 
 @pytest.mark.cpp
 def test_double_precision_has_no_runs():
-    found, plan = platform(3000, 0, 1e-9, "cpp", np.complex128)
+    found, plan = platform(300, 0, 1e-9, "cpp", np.complex128)
     assert plan.choices.run == 0
     assert found <= 1e-9
 
