@@ -187,8 +187,8 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     if order.size:
         frame, reader = plan.frame, plan.reader
         trigonometry = bounds.trigonometry(choices.trigonometry)[0]
-        flat = _as_lines(image, frame.shape)
-        target = np.zeros(frame.shape, dtype=plan.dtype) if flat is None else flat
+        flat = None if plan.wide else _as_lines(image, frame.shape)
+        target = np.zeros(frame.shape, dtype=np.complex128 if plan.wide else plan.dtype) if flat is None else flat
         real = np.dtype(choices.precision)
         if plan.forest is not None:
             totals = factorised.accumulate(
@@ -281,7 +281,8 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
         start = scene.first[order] - 1 - choices.margin
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
-    model = np.array([scene.c, scene.fc, scene.fs, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near])
+    sound = scene.c, scene.fc, scene.fs
+    model = np.array([*sound, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near, choices.run])
     lattice = None if scene.lattice is None else scene.lattice.of(order)
     return Survey(geometry, start, scene.weights[order], scene.kind, model, lattice)
 

@@ -89,3 +89,24 @@ def tree_error(taps: tree.Taps, stages: int) -> float:
     as squares. 1.2 is the margin of the tolerance sweep.
     """
     return 1.2 * math.sqrt(stages) * math.hypot(taps.worst, taps.rms)
+
+
+def longest_run(budget: float, sums: int) -> int:
+    """Traces that `sums` running sums in float32 a pixel may have before they are added to sums in float64.
+
+    They take a twentieth of `budget` where 32 are few enough: shorter ones cost more time than they give.
+    """
+    run = 256
+    while run > 32 and running_error(run, sums) > 0.05 * budget * (1 + 1e-9):
+        run //= 2
+    return run
+
+
+def running_error(terms: int, sums: int) -> float:
+    """Error of running sums in float32 relative to their end.
+
+    Each addition rounds by at most 2^-24 of what there is by then: of equal terms half of the end on average. They are worst:
+    then roundings have one sign for as long as the exponent stays. C++ has one sum a part, which rounds twice a term; in
+    simulations of equal random terms it was wrong by 0.17 (rms) to 0.48 terms 2^-24. Numba has four sums a part.
+    """
+    return terms * sums * 2.0**-25

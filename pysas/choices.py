@@ -55,7 +55,14 @@ def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: 
             break
     errors["sine and cosine"] = wrong
     kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
+    run, sums = 0, 1 if backend == "cpp" else 3
+    if single:
+        run = bounds.longest_run(budget, sums)
+        # and as many batches, of 8 traces at least, as the image may be a sum of: see Plan.wide
+        batches = min(-(-scene.traces // 8), run // 8)
+        errors["running sums"] = bounds.running_error(min(run, scene.traces), sums) + bounds.running_error(batches, 1)
     shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
+    shared["run"] = run
     if rate is not None:
         errors["drift"] = SHARE_PHASE * budget
     if backend == "numba":

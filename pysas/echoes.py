@@ -18,6 +18,11 @@ from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.pulse import LFM
 
+# A term counts up to EDGE samples beyond its record's ends, where the trace is read at the end, and up to EDGE_ANGLE (rad)
+# beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge count whatever
+# the rounding, and far less than anything physical. `reference.exact` states the same rule.
+EDGE, EDGE_ANGLE = 1e-4, 1e-7
+
 
 @dataclass(frozen=True, eq=False)
 class Beam:
@@ -30,7 +35,8 @@ class Beam:
     length : float
         Along-track length D of the element, m; serves the along-track sampling warnings (D/4, D/2).
     half_angle : float
-        Largest angle between boresight and the direction from transmitter to pixel, rad, in (0, pi].
+        Largest angle between boresight and the direction from transmitter to pixel, rad, in (0, pi]. Pixels on that edge count
+        whatever their coordinates' rounding: up to 1e-7 rad beyond it.
     """
 
     boresight: FloatArray

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from pysas import subapertures
 from pysas._checks import FloatArray
+from pysas.echoes import EDGE
 from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
 from pysas.scene import Scene
@@ -205,7 +206,7 @@ def _within(
     latest = ((path + spread) / (scene.c - speed) - g[:, 12].min()) * scene.fs
     inside = (earliest >= 0) & (latest <= last)
     heard = inside.copy()
-    unsure = np.flatnonzero(~inside & (latest >= 0) & (earliest <= last))
+    unsure = np.flatnonzero(~inside & (latest >= -EDGE) & (earliest <= last + EDGE))
     inside[unsure] = True
     at_once = max(1, PAIRS // max(1, unsure.size))
     some = np.unique(np.linspace(0, len(g) - 1, min(at_once, 32)).astype(np.int64))
@@ -220,7 +221,7 @@ def _within(
         low = ((there + back - widths) / (scene.c + speeds) - t[..., 12]) * scene.fs
         high = ((there + back + widths) / (scene.c - speeds) - t[..., 12]) * scene.fs
         inside[left] &= np.all((low >= 0) & (high <= last), axis=0)
-        heard[left] |= np.any((high >= 0) & (low <= last), axis=0)
+        heard[left] |= np.any((high >= -EDGE) & (low <= last + EDGE), axis=0)
     return inside & heard, heard
 
 

@@ -31,8 +31,9 @@ class Choices:
     length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
     taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
     pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
-    prepared at a time; errors : bound of each contribution; phases, step, taps : of the filter that makes the coefficients
-    (C++; oversampling is phases/step of the samples, or twice that after transforms), or 0 where transforms make them.
+    prepared at a time; errors : bound of each contribution; run : traces summed in float32 before these sums are added in
+    float64, or 0; phases, step, taps : of the filter that makes the coefficients (C++; oversampling is phases/step of the
+    samples, or twice that after transforms), or 0 where transforms make them.
     """
 
     precision: str
@@ -50,6 +51,7 @@ class Choices:
     batch: int
     delay: str
     errors: dict[str, float]
+    run: int = 0
     phases: int = 0
     step: int = 0
     taps: int = 0
@@ -214,11 +216,20 @@ class Plan:
         return direct / self.threads
 
     @property
+    def wide(self) -> bool:
+        """Whether the image is a sum of so many batches, or trees, that complex64 would round it too often."""
+        c = self.choices
+        rounds = -(-self.scene.traces // c.batch)
+        if self.forest is not None:
+            rounds += max(len(sheet.trees) for sheet in self.forest.sheets)
+        return bool(self.dtype == np.complex64 and rounds > c.run // 8)
+
+    @property
     def predicted_memory(self) -> int:
         """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
         c, scene = self.choices, self.scene
         item = 8 if c.precision == "float32" else 16
-        work = c.batch * c.length * c.oversampling * (c.degree + 1) * item
+        work = (16 * self.grid.size if self.wide else 0) + c.batch * c.length * c.oversampling * (c.degree + 1) * item
         if c.n_fft:
             work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
         if self.backend == "cpp" and not c.block:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
+from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
 from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.grid import Grid
 
@@ -40,11 +40,11 @@ class Scene:
             assert velocity is not None
             geometry[:, 6:9] = velocity.reshape(-1, 3)
         self.cos_beam, self.all_lit = -1.0, False
-        if echoes.beam is not None and echoes.beam.half_angle < np.pi:
+        if echoes.beam is not None and echoes.beam.half_angle + EDGE_ANGLE < np.pi:
             boresight = echoes.beam.boresight / np.linalg.norm(echoes.beam.boresight, axis=-1, keepdims=True)
             geometry[:, 9:12] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
-            self.cos_beam = float(np.cos(echoes.beam.half_angle))
-            self.all_lit = self.cos_beam >= 0 and _lights(tx, geometry[:, 9:12], self.cos_beam, low, high)
+            self.cos_beam = float(np.cos(echoes.beam.half_angle + EDGE_ANGLE))  # of the largest angle that counts
+            self.all_lit = _lights(tx, geometry[:, 9:12], max(self.cos_beam, 0.0), low, high)
             if self.all_lit:
                 self.cos_beam = -1.0
         geometry[:, 12] = np.repeat(echoes.start_time, channels)
@@ -105,7 +105,7 @@ class Scene:
             away = [[pixel[k] - g[k + i] for k in range(3)] for i in (0, 3)]
             out = [np.maximum(np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), 1e-9) for a in away]
             index = ((out[0] + out[1]) / self.c - g[12]) * self.fs
-            lit = (index >= 0) & (index <= self.n_sample - 1)
+            lit = (index >= -EDGE) & (index <= self.n_sample - 1 + EDGE)
             if self.cos_beam > -1:
                 lit &= sum(away[0][k] * g[9 + k] for k in range(3)) >= self.cos_beam * out[0]
             slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
@@ -163,6 +163,7 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
     """First pixel and step (line, 3) of the grid's last axis, if that is evenly spaced lines, and how far (m) off; else None.
 
     Even means to 1e-9 of the line's length plus the rounding of large coordinates; the deviation adds to the phase error.
+    Deviations are those of the float64 coordinates that the grid returns, each rounded by itself.
     """
     if grid.kind == "points":
         return _lines_of(grid.coords) if grid.coords is not None and grid.coords.ndim > 2 else None
@@ -170,12 +171,18 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
     if name is None:
         return None
     axis = grid.axes[name]
-    wrong = float(np.max(np.abs(axis - np.linspace(axis[0], axis[-1], axis.size))))
-    if wrong > 1e-9 * abs(axis[-1] - axis[0]) + 4e-16 * np.max(np.abs(axis)):
+    span = axis[-1] - axis[0]
+    # from the first place on: places of large coordinates would round once more
+    wrong = float(np.max(np.abs(axis - axis[0] - span * np.linspace(0, 1, axis.size))))
+    if wrong > 1e-9 * abs(span) + 4e-16 * np.max(np.abs(axis)):
         return None
     number = int(np.prod(grid.shape[:-1]))
     first = grid.coordinates(np.arange(number) * axis.size)
     last = grid.coordinates(np.arange(number) * axis.size + axis.size - 1)
+    if grid.kind == "polar" and axis.size > 2:
+        # r cos(angle) and its sum with the centre round for every pixel; so do the ends that its line goes by
+        largest = np.max(np.abs(np.concatenate([first[:, :2], last[:, :2]])), axis=0)
+        wrong += float(np.linalg.norm(np.spacing(largest))) + 4 * float(np.spacing(np.max(np.abs(axis))))
     return first, (last - first) / max(axis.size - 1, 1), wrong
 
 

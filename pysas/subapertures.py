@@ -44,8 +44,8 @@ class Medium:
 
 @dataclass(frozen=True)
 class Group:
-    """Traces of one group (positions in the tree's order); centre (3,) of their phase centres, extent (m) along axis (3,), and how
-    far they lie off it (m)."""
+    """Traces of one group (positions in the tree's order); centre (3,) of their phase centres, extent (m) along axis (3,), and
+    how far they lie off it (m)."""
 
     traces: IntArray
     centre: FloatArray

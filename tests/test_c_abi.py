@@ -9,7 +9,7 @@ import c_library
 import numpy as np
 import pytest
 from c_library import PROGRESS, Options, i64, pointer, structs
-from scenes import PLANE, SCENES, far, moving, straight
+from scenes import PLANE, SCENES, C, far, moving, noise, straight
 from test_factorised import CASES, PLACES, TRACKS, answer, plane, tracked
 
 import pysas
@@ -56,6 +56,57 @@ def test_tol_is_kept(library, name):
                 assert found == 2 and tol < 1e-4
                 continue
             assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= tol
+
+
+def test_pixels_on_a_records_ends_count(library):
+    """A grid whose first row lies on the first sample of pings abeam, whose last on the last."""
+    samples, fs = 400, 40e3
+    tx = np.stack([(np.arange(24) - 12) * 0.02, np.zeros(24), np.zeros(24)], axis=1)
+    data = noise(24, 1, samples, 0.75).astype(np.complex64)
+    for start, row in ((0.04, 30.0), (0.02, 15.0), (2 * 30 / C, 30.0)):
+        echoes = pysas.Echoes(data, fs=fs, fc=1e5, tx=tx, rx=tx[:, None], c=C, t0=start, bandwidth=30e3)
+        grid = pysas.Grid.plane(np.arange(-24, 24) * 0.01, np.linspace(row, row + C * (samples - 1) / fs / 2, 12))
+        exact, level = pysas.reference.exact(echoes, grid)
+        for points in (False, True):
+            found = image(library, echoes, grid, 1e-3, points)
+            assert pysas.metrics.relative_error(found, exact, level) <= 1e-3
+
+
+@pytest.mark.parametrize("half", [np.pi / 2, np.pi / 4, 1e-7])
+def test_pixels_on_a_beams_edge_count(library, half):
+    """In a row that begins on the track, on a diagonal, and across a beam narrower than its slack."""
+    echoes = straight(8, spacing=0.05).replace(t0=0.0)
+    tx = echoes.tx
+    bore = np.array([0, 1.0, 0]) if half > 1 or half < 1e-3 else np.array([1.0, 0, 0])
+    across = np.arange(1, 6, 0.25)
+    edge = tx[0] + across[:, None] * {np.pi / 2: [1.0, 0, 0], np.pi / 4: [1.0, 1, 0], 1e-7: [1e-7, 1, 0]}[half]
+    grid = pysas.Grid.points(np.stack([edge, edge + 0.3 * bore, edge - 0.3 * bore]))
+    keep = np.tile(bore, (len(tx), 1))
+
+    def lit(survey, lines, options):
+        survey.boresight, survey.beam_half_angle = keep.ctypes.data, half
+
+    exact, level = pysas.reference.exact(echoes.replace(beam=pysas.Beam(bore, 0.1, half)), grid)
+    assert np.all(level[0] > 0)
+    found = image(library, echoes, grid, 1e-3, True, lit)
+    assert pysas.metrics.relative_error(found, exact, level) <= 1e-3
+
+
+@pytest.mark.parametrize("pings", [6000, 60000])
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_sums_of_equal_terms_keep_tol(library, pings, dtype):
+    """A platform that stands still; of so many pings that batches add up too."""
+    n = np.arange(2000)
+    trace = (np.exp(-(((n - 1000.3) / 4) ** 2)) * np.exp(0.3j)).astype(dtype)
+    survey = {"fs": 40e3, "fc": 1e5, "c": C, "t0": 0.04, "bandwidth": 20e3}
+    one = pysas.Echoes(trace[None], tx=np.zeros((1, 3)), rx=np.zeros((1, 3)), **survey)
+    ranges = 30 + (999.2 + 0.7 * np.arange(4)) * C / 40e3 / 2
+    grid = pysas.Grid.points(np.stack([0 * ranges, ranges, 0 * ranges], axis=1).reshape(2, 2, 3))
+    exact, _ = pysas.reference.exact(one, grid)
+    tx = np.zeros((pings, 3))
+    echoes = pysas.Echoes(np.broadcast_to(trace, (pings, 1, n.size)), tx=tx, rx=tx[:, None], **survey)
+    found = image(library, echoes, grid, 1e-5, True)
+    assert np.linalg.norm(found - pings * exact) <= 1e-5 * pings * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("name", ["surface", "polar", "moving"])

@@ -131,10 +131,16 @@ def on_axis(ranges: npt.ArrayLike, n: int = 9) -> tuple[Echoes, Grid]:
 
 
 def test_terms_count_from_the_first_sample_to_the_last() -> None:
+    """Up to 1e-4 samples beyond, where the trace is read at the end: places are 2 (r - 512) and 2 (r - 516) from the ends."""
     first, last = 512.0, 516.0
-    echoes, grid = on_axis([np.nextafter(first, 0), first, 514.3, last, np.nextafter(last, 1e9)])
-    assert list(exact(echoes, grid)[1] > 0) == [False, True, True, True, False]
-    assert exact(echoes, grid)[0][[0, 4]].tolist() == [0, 0]
+    ranges = [first - 6e-5, first - 4e-5, first, 514.3, last, last + 4e-5, last + 6e-5]
+    echoes, grid = on_axis(ranges)
+    image, level = exact(echoes, grid)
+    assert list(level > 0) == [False, True, True, True, True, True, False]
+    assert image[[0, 6]].tolist() == [0, 0]
+    assert level[[1, 5]].tolist() == level[[2, 4]].tolist()
+    beyond = image[[1, 5]] / image[[2, 4]]  # the phase is the pixel's own: fc tau with tau = 2 r / c
+    np.testing.assert_allclose(beyond, np.exp(2j * np.pi * 4096 * 2 * np.array([-4e-5, 4e-5]) / 1024), rtol=0, atol=1e-9)
 
 
 def test_one_sample_record() -> None:
@@ -273,9 +279,12 @@ def test_beam_limits_the_transmitter_only() -> None:
     rx = np.array([[[50.0, 0, 0]], [[50.0, 0, 0]]])
     boresight = np.array([[0.0, 2, 0], [0.0, -1, 0]])
     echoes = Echoes(data, fs=64.0, fc=64.0, tx=np.zeros((2, 3)), rx=rx, c=200.0, beam=Beam(boresight, 0.1, np.pi / 4))
-    points = np.array([[3.0, 3, 0], [3.0, np.nextafter(3, 0), 0], [0, 3, 0], [0, -3, 0], [3, -3, 0], [3, 0, 0], [0, 0, 0]])
+    points = np.array(
+        [[3.0, 3, 0], [3.0, 3 - 1.2e-6, 0], [3.0, 3 - 3e-7, 0], [0, 3, 0], [0, -3, 0], [3, -3, 0], [3, 0, 0], [0, 0, 0]]
+    )
     terms = np.rint((exact(echoes, Grid.points(points))[1] / exact(echoes.replace(beam=None), Grid.points(points))[1]) ** 2 * 2)
-    assert terms.tolist() == [1, 0, 1, 1, 1, 0, 2]
+    # delta m lower are delta / 6 rad more off the first boresight: 2e-7, and 5e-8, less than what still counts
+    assert terms.tolist() == [1, 0, 1, 1, 1, 1, 0, 2]
     everywhere = echoes.replace(beam=Beam(np.array([0.0, 1, 0]), 0.1, np.pi))
     np.testing.assert_array_equal(
         exact(everywhere, Grid.points(points))[0], exact(echoes.replace(beam=None), Grid.points(points))[0]

@@ -126,7 +126,7 @@ template <typename Real>
 Terms<Real> terms_of(const py::array& table, int degree, const std::vector<double>& sine,
                      const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
                      int kind) {
-    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 7 * sizeof(double),
+    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 8 * sizeof(double),
                   "rows of the geometry and the model are read as these structs");
     const auto tables = view<const Real, 3>(table);
     Terms<Real> terms{};

@@ -68,7 +68,7 @@ struct Planter {
                 const double speed = speed_of(trace);
                 const double low = ((path - spread) / (model.c + speed) - trace.t0) * model.fs;
                 const double high = ((path + spread) / (model.c - speed) - trace.t0) * model.fs;
-                heard = heard || (high >= 0 && low <= model.last);
+                heard = heard || (high >= -edge_samples && low <= model.last + edge_samples);
                 read = read && low >= 0 && high <= model.last;
             }
             out.read[tile] = read;

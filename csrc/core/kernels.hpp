@@ -18,6 +18,14 @@ constexpr int max_trig = 12;
 constexpr int max_nodes = 7;
 constexpr int max_step = 24;  // of a filter, in samples
 
+// A term counts up to this many samples beyond its record's ends, where the trace is read at the end, and up to this
+// angle beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge
+// count whatever the rounding, and far less than anything physical. Said in pysas.h and pysas.reference.exact too.
+constexpr double edge_samples = 1e-4, edge_angle = 1e-7;
+// Nearer than this to a record's ends, in samples, every pixel's own delay decides: places in float reach beyond
+// tables.
+constexpr double edge_margin = 0.01;
+
 enum class Kind : int { monostatic, stop_and_hop, moving };
 
 // One trace's geometry, as pysas.engine.GEOMETRY numbers its columns.
@@ -32,8 +40,9 @@ struct Model {
     double c, fc, fs;
     double rate;      // intervals per sample
     double last;      // last sample number that counts
-    double cos_beam;  // of the half-angle; -1: no beam
+    double cos_beam;  // of the largest angle that counts, the half-angle and edge_angle; -1: no beam
     double near;      // distance below which every pixel's delay is exact, m
+    double run;       // traces that a sum in float may have before it is added to one in double; 0: any number
 };
 
 // How a block's delays become a polynomial: exact delays at `count` nodes in [-1, 1], and the matrix from their

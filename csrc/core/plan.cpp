@@ -52,6 +52,13 @@ double fit(std::vector<double>& out, int count, const std::function<double(doubl
     return worst;
 }
 
+// Traces that are summed in float before these sums are added up in double, see pysas/bounds.py.
+double longest_run(double tol) {
+    double run = 256;
+    while (run > 32 && run * 0x1p-25 > 0.1 * tol * (1 + 1e-9)) run /= 2;
+    return run;
+}
+
 }  // namespace
 
 double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine) {
@@ -88,7 +95,9 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     model_.fc = survey.fc;
     model_.fs = survey.fs;
     model_.last = static_cast<double>(samples_ - 1);
-    model_.cos_beam = survey.boresight && survey.beam_half_angle < pi ? std::cos(survey.beam_half_angle) : -1.0;
+    const double widest = survey.beam_half_angle + edge_angle;
+    model_.cos_beam = survey.boresight && widest < pi ? std::cos(widest) : -1.0;
+    model_.run = narrow_ ? longest_run(tol_) : 0;
     place(survey, grid);
     if (options.method == PYSAS_FFBP) plant(options.tol);
     if (forest_) return;
@@ -419,6 +428,14 @@ void Plan::sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>
     Terms<Real> terms = this->terms<Real>();
     std::vector<Real> table(static_cast<std::size_t>(most * terms.trace_stride));
     terms.table = table.data();
+    // sums of many batches want an image in double as well
+    View<std::complex<double>, 2> wide{nullptr, {to.shape[0], to.shape[1]}, {to.shape[1], 1}};
+    std::vector<std::complex<double>> wider;
+    if (sizeof(Sample) == sizeof(std::complex<float>) &&
+        static_cast<double>(all) > model_.run / 4 * static_cast<double>(most)) {
+        wider.resize(static_cast<std::size_t>(to.shape[0] * to.shape[1]));
+        wide.data = wider.data();
+    }
     for (std::int64_t begin = 0; begin < all; begin += most) {
         const std::int64_t count = std::min(most, all - begin);
         const Tick tick = [&](double share) {
@@ -435,7 +452,13 @@ void Plan::sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>
         prepare(*kernels_, traces, filter_, table.data(), terms.plane_stride, threads_, {});
         terms.traces = traces_.data() + begin;
         terms.n_trace = count;
-        add(*kernels_, terms, lines(), to, threads_, tick);
+        if (wider.empty())
+            add(*kernels_, terms, lines(), to, threads_, tick);
+        else if constexpr (sizeof(Real) == 4)
+            add(*kernels_, terms, lines(), wide, threads_, tick);
+    }
+    for (std::int64_t i = 0; i < to.shape[0] && !wider.empty(); ++i) {
+        for (std::int64_t j = 0; j < to.shape[1]; ++j) to(i, j) = static_cast<Sample>(wide(i, j));
     }
 }
 

@@ -8,8 +8,10 @@
  *
  * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
- * (tau - t0) fs <= n_sample - 1. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where
- * level^2 is the sum of the terms' squares.
+ * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off boresight is at most the half-angle; rounding
+ * does not decide: 1e-4 samples beyond a record's end (the trace is read at the end) and 1e-7 rad beyond the half-angle
+ * still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where level^2 is the sum
+ * of the terms' squares.
  */
 #ifndef PYSAS_H
 #define PYSAS_H
@@ -66,7 +68,7 @@ typedef struct pysas_survey {
     const double* velocity;  /* (n_ping, n_channel, 3) receivers' velocities, or NULL: none */
     const double* weights;   /* (n_ping, n_channel) factors of the terms, or NULL: 1 */
     const double* boresight; /* (n_ping, 3) unit vectors, or NULL: no beam */
-    double beam_half_angle;  /* terms outside it do not count, radians */
+    double beam_half_angle;  /* terms 1e-7 rad or more outside it do not count, radians */
 } pysas_survey;
 
 typedef struct pysas_grid {

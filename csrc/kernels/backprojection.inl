@@ -239,7 +239,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         radius = sphere(tile.points, rows * count, centre);
     }
 
-    for (int i = 0; i < tile_rows * block; ++i) tile.re[i] = tile.im[i] = 0;
+    Runs<real> sums(tile.re, tile.im, rows, job.model.run);
     Polynomials<V, N> poly;
     std::int64_t evaluated = 0;
     Vectors vectors[tile_rows];
@@ -258,6 +258,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         double nearest;
         const Reach where = reach(trace, job.model, centre, radius, nearest);
         if (where == Reach::outside) continue;
+        sums.next();
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
                 if (tile.active[r]) exactly(i, r, {0, at.used});
@@ -304,6 +305,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         const auto lines = whole ? add.whole[wide] : add.part[wide == 1];
         lines(tile, table, poly, level, x, vectors);
     }
+    sums.finish();
     tile.evaluated = evaluated;
 }
 

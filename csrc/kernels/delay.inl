@@ -54,7 +54,7 @@ inline Reach beam(const Trace& g, const Model& model, const double centre[3], do
     const double along = (centre[0] - g.tx[0]) * g.boresight[0] + (centre[1] - g.tx[1]) * g.boresight[1] +
                          (centre[2] - g.tx[2]) * g.boresight[2];
     const double off = there * there - along * along, across = off > 0 ? ::sqrt(off) : 0.0;
-    const double sine = ::sqrt(1 - model.cos_beam * model.cos_beam);
+    const double sine = ::sqrt((1 - model.cos_beam) * (1 + model.cos_beam));
     const double depth = along * sine - across * model.cos_beam;
     // `across` may lose half of its digits; rounding must never decide what the exact path should
     const double reach = radius + 1e-7 * there;
@@ -66,8 +66,8 @@ inline Reach beam(const Trace& g, const Model& model, const double centre[3], do
 inline Reach window(const Trace& g, const Model& model, double speed, double least, double most) {
     const double low = (least / (model.c + speed) * (1 - 1e-9) - g.t0) * model.fs;
     const double high = (most / (model.c - speed) * (1 + 1e-9) - g.t0) * model.fs;
-    if (high < 0 || low > model.last) return Reach::outside;
-    return low >= 0 && high <= model.last ? Reach::inside : Reach::across;
+    if (high < -edge_samples || low > model.last + edge_samples) return Reach::outside;
+    return low >= edge_margin && high <= model.last - edge_margin ? Reach::inside : Reach::across;
 }
 
 inline Reach both(Reach one, Reach other) {

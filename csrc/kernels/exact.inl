@@ -14,7 +14,7 @@ struct Exact {
 };
 
 // Of vectors of line `r` and trace number `number`; terms outside the record or the beam weigh nothing. Returns how
-// many do not.
+// many do not. Angles are compared by sines, sin(angle - limit) <= 0, which keep the smallest apart; cosines do not.
 template <class V, Kind K>
 std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, const Levels<V>* level, int r,
                     Vectors vectors, Exact<V>& out) {
@@ -33,22 +33,30 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
         }
     }
     W::vec counted = W::set(0.0);
-    const W::vec half = W::set(0.5);
+    const W::vec half = W::set(0.5), first = W::set(0.0), last = W::set(model.last);
+    const W::vec before = W::set(-edge_samples), behind = W::set(model.last + edge_samples);
+    const double* bore = trace.boresight;
+    const W::vec cosine = W::set(model.cos_beam), sine = W::set(::sqrt((1 - model.cos_beam) * (1 + model.cos_beam)));
+    const auto minor = [](W::vec a, double b, W::vec c, double d) {
+        return W::fma(a, W::set(b), W::mul(c, W::set(-d)));
+    };
     for (int m = begin; m < padded; m += W::n) {
         const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
         const W::vec tau = delay<K>(trace, model.c, px, py, pz);
         const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
-        W::vec counts = W::mul(W::one_where_le(W::set(0.0), index), W::one_where_le(index, W::set(model.last)));
+        W::vec counts = W::mul(W::one_where_le(before, index), W::one_where_le(index, behind));
         if (model.cos_beam > -1.0) {
             const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])),
                          dz = W::sub(pz, W::set(trace.tx[2]));
-            const W::vec distance = W::sqrt(W::fma(dx, dx, W::fma(dy, dy, W::mul(dz, dz))));
-            const W::vec along = W::fma(dx, W::set(trace.boresight[0]),
-                                        W::fma(dy, W::set(trace.boresight[1]), W::mul(dz, W::set(trace.boresight[2]))));
-            counts = W::mul(counts, W::one_where_le(W::mul(W::set(model.cos_beam), distance), along));
+            const W::vec cx = minor(dy, bore[2], dz, bore[1]), cy = minor(dz, bore[0], dx, bore[2]),
+                         cz = minor(dx, bore[1], dy, bore[0]);
+            const W::vec across = W::sqrt(W::fma(cx, cx, W::fma(cy, cy, W::mul(cz, cz))));
+            const W::vec along = W::fma(dx, W::set(bore[0]), W::fma(dy, W::set(bore[1]), W::mul(dz, W::set(bore[2]))));
+            counts = W::mul(counts, W::one_where_le(W::mul(across, cosine), W::mul(along, sine)));
         }
         // where a term does not count the index becomes the first kept sample's, which is in the table
-        const W::vec u = W::mul(W::mul(counts, W::sub(index, W::set(trace.crop))), W::set(model.rate));
+        const W::vec read = W::max(first, W::min(index, last));
+        const W::vec u = W::mul(W::mul(counts, W::sub(read, W::set(trace.crop))), W::set(model.rate));
         const W::vec low = W::floor(u);
         W::store(out.position + m, W::sub(W::sub(u, low), half));
         W::store_index(out.interval + m, low);

@@ -227,12 +227,13 @@ void leaf_traces(LeafJob& job) {
         }
     }
     const auto lane = lanes<V>();
-    for (int i = 0; i < tile_rows * block; ++i) job.re[i] = job.im[i] = 0;
+    Runs<float> sums(job.re, job.im, rows, model.run);
     Drifts<V> drift;
     Levels<V> level;
     drift.level = job.weights ? &level : nullptr;
     const int used = (job.count + V::n - 1) / V::n;
     for (std::int64_t i = 0; i < terms.n_trace; ++i) {
+        sums.next();
         const float* table = terms.table + i * terms.trace_stride;
         const Trace& trace = terms.traces[i];
         if (terms.kind == Kind::monostatic)
@@ -265,6 +266,7 @@ void leaf_traces(LeafJob& job) {
             }
         }
     }
+    sums.finish();
 }
 
 template <class V>

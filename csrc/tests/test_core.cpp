@@ -195,7 +195,7 @@ void a_constant_goes_through_the_tree() {
     std::copy_n(tree.cosine, 7, terms.cosine);
     terms.traces = sensors.data();
     terms.n_trace = traces;
-    terms.model = {c, wave * c / 2, 20e3, 1.0, 900, -1.0, 0.0};
+    terms.model = {c, wave * c / 2, 20e3, 1.0, 900, -1.0, 0.0, 0.0};
     terms.nodes = tree.nodes;
     for (const std::string& set : levels()) {
         const Kernels& kernels = kernels_for(set);
@@ -349,7 +349,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         }
     }
     Geometry geometry{traces.data(), pings.data(), static_cast<std::int64_t>(traces.size()), {}, 0.375, 0};
-    geometry.model = {1500, 100e3, 40e3, 1, 2999, -1, 0};
+    geometry.model = {1500, 100e3, 40e3, 1, 2999, -1, 0, 0};
     std::vector<double> first, step;
     constexpr int height = 130, width = 100;
     for (int line = 0; line < height; ++line) {

@@ -16,7 +16,7 @@ import scipy.fft
 from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.circular.geometry import track_angle, virtual_angles
-from pysas.echoes import Echoes
+from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
 from pysas.grid import Grid
 
 OVERSAMPLING = 16
@@ -154,7 +154,7 @@ def _seen(echoes: Echoes, points: FloatArray, ping: int) -> npt.NDArray[np.bool_
     direction = points - echoes.tx[ping]
     boresight = np.broadcast_to(echoes.beam.boresight, echoes.tx.shape)[ping]
     angle = np.arctan2(np.linalg.norm(np.cross(direction, boresight), axis=-1), direction @ boresight)
-    return np.asarray(angle <= echoes.beam.half_angle)
+    return np.asarray(angle <= echoes.beam.half_angle + EDGE_ANGLE)
 
 
 def _terms(echoes: Echoes, points: FloatArray, ping: int, channel: int) -> Complex:
@@ -171,10 +171,11 @@ def _terms(echoes: Echoes, points: FloatArray, ping: int, channel: int) -> Compl
         half = echoes.c * outward - path @ velocity
         tau = (half + np.sqrt(half**2 + lead * (squared - outward**2))) / lead
     position = (tau - echoes.start_time[ping]) * echoes.fs
-    inside = (position >= 0) & (position <= echoes.n_sample - 1)
+    last = echoes.n_sample - 1
+    inside = (position >= -EDGE) & (position <= last + EDGE)
     values = np.zeros(len(points), dtype=np.complex128)
     if inside.any():
-        read = _read(echoes.traces[ping, channel], position[inside])
+        read = _read(echoes.traces[ping, channel], np.clip(position[inside], 0, last))
         values[inside] = read * np.exp(2j * np.pi * np.mod(echoes.fc * tau[inside], 1.0))
     return values
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
+from pysas.echoes import EDGE_ANGLE, Echoes
 from pysas.grid import Grid
 
 COINCIDENT = 1e-9  # rad: views nearer than this are one
@@ -175,5 +175,5 @@ def _in_beam(echoes: Echoes, points: FloatArray) -> Bool:
     for number, point in enumerate(points):
         direction = point - echoes.tx
         across = np.linalg.norm(np.cross(direction, boresight), axis=-1)
-        seen[number] = np.arctan2(across, np.sum(direction * boresight, axis=-1)) <= echoes.beam.half_angle
+        seen[number] = np.arctan2(across, np.sum(direction * boresight, axis=-1)) <= echoes.beam.half_angle + EDGE_ANGLE
     return seen

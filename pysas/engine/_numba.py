@@ -19,6 +19,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from pysas.echoes import EDGE
 from pysas.engine._numba_reach import (
     ACROSS,
     BORESIGHT,
@@ -31,6 +32,7 @@ from pysas.engine._numba_reach import (
     NEAR,
     OUTSIDE,
     RATE,
+    RUN,
     RX,
     T0,
     TX,
@@ -199,15 +201,18 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
     first = np.int32(g[FIRST])
     terms = 0
     beam = model[COS_BEAM]
+    sine = np.sqrt((1.0 - beam) * (1.0 + beam))
+    bx, by, bz = g[BORESIGHT], g[BORESIGHT + 1], g[BORESIGHT + 2]
     for m in range(count):
         index = (tau[m] - g[T0]) * model[FS]
-        counts = index >= 0.0 and index <= model[LAST]
+        counts = index >= -EDGE and index <= model[LAST] + EDGE
         if beam > -1.0:
             dx, dy, dz = x[m] - g[TX], y[m] - g[TX + 1], z[m] - g[TX + 2]
-            along = dx * g[BORESIGHT] + dy * g[BORESIGHT + 1] + dz * g[BORESIGHT + 2]
-            counts = counts and along >= beam * np.sqrt(dx * dx + dy * dy + dz * dz)
+            across = np.sqrt((dy * bz - dz * by) ** 2 + (dz * bx - dx * bz) ** 2 + (dx * by - dy * bx) ** 2)
+            # sin(angle - limit) <= 0; cosines would not tell small angles apart
+            counts = counts and across * beam <= (dx * bx + dy * by + dz * bz) * sine
         terms += counts
-        u = (index - g[CROP]) * model[RATE] if counts else 0.0
+        u = (min(max(index, 0.0), model[LAST]) - g[CROP]) * model[RATE] if counts else 0.0
         low = np.floor(u)
         interval[np.uintp(at + m)] = first + np.int32(low)
         position = u - low - 0.5
@@ -348,7 +353,14 @@ def sum_blocks(
     tau = np.empty(max(BLOCK, NODES * rows))
     ratio = x.dtype.type(model[FC] / (model[FS] * model[RATE]))
     terms = 0
+    run, totals = int(model[RUN]), np.zeros(0)
     for group in range(0, found, SLOTS):
+        if run > 0 and group > 0 and group % run == 0:  # a running sum rounds by its length
+            if totals.size == 0:
+                totals = np.zeros(sums.size)
+            for i in range(sums.size):
+                totals[i] += sums[i]
+                sums[i] = 0
         filled = min(SLOTS, found - group)
         for slot in range(filled):
             i = group + slot
@@ -392,8 +404,14 @@ def sum_blocks(
                     _add_terms(pairs, coefficients, interval, t2, cosines, sines, m, sums, r * 8 * count)
     for r in range(rows):
         for m in range(count):
-            a = sums[8 * (r * count + m) : 8 * (r * count + m) + 8]
-            out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
+            place = 8 * (r * count + m)
+            a = sums[place : place + 8]
+            if totals.size:
+                b = totals[place : place + 8]
+                re, im = b[0] + b[2] - b[5] - b[7], b[1] + b[3] + b[4] + b[6]
+                out[r, m] += complex(re + (a[0] + a[2] - a[5] - a[7]), im + (a[1] + a[3] + a[4] + a[6]))
+            else:
+                out[r, m] += complex(a[0] + a[2] - a[5] - a[7], a[1] + a[3] + a[4] + a[6])
     return terms
 
 
@@ -415,7 +433,7 @@ def sum_tile(
     active : (block,) bool
         Blocks with any pixel to image.
     geometry : (trace, GEOMETRY) float64
-    model : (7,) float64
+    model : (8,) float64
     coefficients : (interval * 4 * len(pairs),) real
     x, nodes, fit : (count,) real, (NODES,) and (NODES, NODES) float64
         Positions in a block in [-1, 1], Chebyshev nodes, node values to monomials.

@@ -8,11 +8,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pysas.echoes import EDGE
+
 # columns of a geometry row: transmitter, receiver, velocity, boresight (3 each), t0, index of sample 0 kept, first interval
 TX, RX, VELOCITY, BORESIGHT, T0, CROP, FIRST = 0, 3, 6, 9, 12, 13, 14
-# columns of the model: c, fc, fs, over-sampling, last counted index, cos(half-angle), least distance for polynomials
-C, FC, FS, RATE, LAST, COS_BEAM, NEAR = 0, 1, 2, 3, 4, 5, 6
+# columns of the model: c, fc, fs, over-sampling, last sample, cosine of the largest angle that counts, least distance for
+# polynomials, traces that a sum in float32 may have before it is added to one in float64 (0: any number)
+C, FC, FS, RATE, LAST, COS_BEAM, NEAR, RUN = 0, 1, 2, 3, 4, 5, 6, 7
 OUTSIDE, INSIDE, ACROSS = 0, 1, 2
+EDGE_MARGIN = 0.01  # samples: nearer to a record's ends every pixel's own delay decides
 
 
 @njit(nogil=True, cache=True)
@@ -27,9 +31,9 @@ def _window(g, model, least, most):
     # one part in 1e9 of slack: rounding must never decide what the exact block should
     low = (least / (model[C] + speed) * (1 - 1e-9) - g[T0]) * model[FS]
     high = (most / (model[C] - speed) * (1 + 1e-9) - g[T0]) * model[FS]
-    if high < 0 or low > model[LAST]:
+    if high < -EDGE or low > model[LAST] + EDGE:
         return OUTSIDE
-    return INSIDE if low >= 0 and high <= model[LAST] else ACROSS
+    return INSIDE if low >= EDGE_MARGIN and high <= model[LAST] - EDGE_MARGIN else ACROSS
 
 
 @njit(nogil=True, cache=True)
@@ -43,7 +47,7 @@ def _beam(g, model, centre, radius, there):
     for axis in range(3):
         along += (centre[axis] - g[TX + axis]) * g[BORESIGHT + axis]
     angle = np.arccos(min(1.0, max(-1.0, along / there)))
-    spread = np.arcsin(radius / there) + 1e-9
+    spread = np.arcsin(radius / there) + 1e-7  # an arc cosine loses half of its digits
     limit = np.arccos(model[COS_BEAM])
     if angle - spread > limit:
         return OUTSIDE

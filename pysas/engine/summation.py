@@ -31,7 +31,7 @@ class Survey:
     """Traces as the kernels want them, coordinates about the scene's centre.
 
     geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,);
-    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (7,); lattice : weights that change from pixel to pixel, at
+    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (8,); lattice : weights that change from pixel to pixel, at
     places (y, x, trace), float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of
     the arithmetic's type, with rows for whole blocks, or None.
     """

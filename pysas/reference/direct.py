@@ -24,6 +24,8 @@ TAPS = 20
 GUARD = 2  # samples read beyond each end of the record: TAPS/2 fine samples, rounded up
 PASS_EDGE, STOP_EDGE = 1 / 2.2, 0.5  # of W, in cycles per sample
 CHUNK = 8192  # pixels read at once
+# How far beyond a record's end (samples) and a beam's edge (rad) a term still counts: see `exact`.
+EDGE, EDGE_ANGLE = 1e-4, 1e-7
 
 Complex = npt.NDArray[np.complex128]
 Float = npt.NDArray[np.float64]
@@ -35,9 +37,13 @@ def exact(
 ) -> tuple[Complex, Float]:
     """Sum weight s(tau) exp(+2j pi fc tau) over pings and channels, and its incoherent level R.
 
-    A (pixel, ping, channel) term counts if and only if 0 <= (tau - t0) fs <= n - 1 for n samples and, with a beam, if
-    the angle between boresight and the vector from the transmitter to the pixel is at most the half-angle (receivers
-    are not tested; a pixel on the transmitter counts). The delay obeys c tau = |x - tx| + |x - rx - velocity tau|.
+    A (pixel, ping, channel) term counts if and only if u = (tau - t0) fs lies from 0 to n - 1 for n samples and, with a
+    beam, if the angle between boresight and the vector from the transmitter to the pixel is at most the half-angle
+    (receivers are not tested; a pixel on the transmitter counts). Pixels are often put exactly on such an edge, where the
+    rounding of their coordinates would decide; so that it does not, edges lie outside of where they are put by EDGE = 1e-4
+    samples (-1e-4 <= u <= n - 1 + 1e-4) and EDGE_ANGLE = 1e-7 rad: coordinates of 5e6 m rounded to float64 are wrong by
+    1e-6 samples at 1 MHz and by 1e-9 rad at 1 m, and no sonar is known to 2 um or 1e-7 rad. Beyond its end a trace is read
+    at the end. The delay obeys c tau = |x - tx| + |x - rx - velocity tau|.
 
     Each trace is read as a band-limited signal: extended with zeros, low-passed by W(f) = 1 for |f| <= fs/2.2 falling
     as cos^2 to exactly 0 at fs/2, and sampled at 8 fs. Here the zeros have no end: the trace is convolved with W's
@@ -141,13 +147,13 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
                 chunk = seen[start : start + CHUNK]
                 tau = _delay(outward[start : start + CHUNK], points[:, chunk], receiver, velocity, c)
                 position = (tau - start_time) * fs
-                counts = (position >= 0) & (position <= last)
+                counts = (position >= -EDGE) & (position <= last + EDGE)
                 if not counts.any():
                     continue
                 if fine is None:
                     fine = _fine_trace(echoes.traces[ping, channel])
                 pixel = chunk[counts]
-                sample = factors[ping, channel] * _read(fine, position[counts])
+                sample = factors[ping, channel] * _read(fine, np.clip(position[counts], 0, last))
                 turns = fc * tau[counts]
                 turns -= np.rint(turns)
                 total[pixel] += sample * np.exp(2j * np.pi * turns.astype(np.float64))
@@ -163,7 +169,7 @@ def _seen(echoes: Echoes, points: Long, ping: int) -> npt.NDArray[np.intp]:
     boresight = np.broadcast_to(echoes.beam.boresight, echoes.tx.shape)[ping]
     # The arctangent keeps small angles, which an arc cosine would round away.
     angle = np.arctan2(np.linalg.norm(np.cross(direction, boresight), axis=-1), direction @ boresight)
-    return np.flatnonzero(angle <= echoes.beam.half_angle)
+    return np.flatnonzero(angle <= echoes.beam.half_angle + EDGE_ANGLE)
 
 
 def _distance(points: Long, origin: Float) -> Long:
