@@ -136,7 +136,7 @@ def compare(arguments: argparse.Namespace, progress: Progress) -> int:
         _write_text(arguments.output, text, arguments.overwrite)
     if arguments.png is not None:
         drawn = comparison.figure({Path(arguments.raw).name.encode("utf-8", "backslashreplace").decode(): found})
-        plot.write(drawn, arguments.png, dpi=100, overwrite=arguments.overwrite)
+        plot.write(drawn, arguments.png, plot.picture_format(arguments.png), dpi=100, overwrite=arguments.overwrite)
     if arguments.json:
         names = {"raw": arguments.raw, "table": arguments.output, "png": arguments.png, "grid": how}
         print(json.dumps(names | dataclasses.asdict(found) | {"front": comparison.front(found.rows)}))

@@ -65,8 +65,7 @@ def quicklook(
         raise TypeError(f"image={type(image).__name__}: expected pysas.Image")
     dynamic_range = _checks.number("dynamic_range", dynamic_range, positive=True)
     marks = None if targets is None else _checks.reals("targets", targets, [(2,), (3,), ("n", 2), ("n", 3)], ("target",))
-    if path is not None:
-        picture_format(path)
+    kind = "" if path is None else picture_format(path)
     figure: Any
     if ax is None:
         figure = _figure(figsize=_size(image), dpi=_DPI, layout="constrained")
@@ -110,14 +109,17 @@ def quicklook(
     tol = "" if image.report.tol is None else f", tol {image.report.tol:g}"
     ax.set_title((f"{image.report.method}{tol}" if title is None else title) + note)
     if path is not None:
-        write(figure, path, dpi=_DPI, overwrite=overwrite)
+        write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
     return figure
 
 
-def write(figure: Any, path: str | os.PathLike[str], *, dpi: float, overwrite: bool) -> None:
-    """Write a figure, complete or not at all; in memory first, as some of matplotlib's formats stumble over a full disk."""
+def write(figure: Any, path: str | os.PathLike[str], kind: str, *, dpi: float, overwrite: bool) -> None:
+    """Write a figure in a format, complete or not at all.
+
+    It is drawn in memory first: some of matplotlib's formats stumble over a full disk.
+    """
     drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=dpi, format=picture_format(path))
+    figure.savefig(drawn, dpi=dpi, format=kind)
     with _files.replacing(path, overwrite=overwrite) as file:
         file.write(drawn.getbuffer())
 
