@@ -157,7 +157,7 @@ def _shown(file: IO[bytes]) -> str:
 
 def _keep(descriptor: int, old: os.stat_result) -> None:
     """Give a file the permissions of `old`, and its owner and group as far as this process may."""
-    if not hasattr(os, "fchmod"):
+    if not hasattr(os, "fchown"):  # no permissions of POSIX
         return
     mode = old.st_mode & _PERMISSIONS
     made = os.fstat(descriptor)

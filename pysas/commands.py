@@ -296,10 +296,11 @@ def simulate(arguments: argparse.Namespace, progress: Progress) -> int:
 
 
 def _points(path: str) -> FloatArray:
-    try:
-        points = np.loadtxt(path, delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}: expected lines of x,y,z,amplitude") from None
+    with _files.opened(path) as file:
+        try:
+            points = np.loadtxt(file, delimiter=",", ndmin=2)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}: expected lines of x,y,z,amplitude") from None
     if points.shape[0] == 0 or points.shape[1] != 4:
         raise ValueError(f"{path}: found {points.shape[1]} columns, expected x,y,z,amplitude")
     return np.asarray(points, dtype=np.float64)

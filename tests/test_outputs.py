@@ -242,6 +242,26 @@ def test_numbers_of_threads_that_are(value: str, folder: Path, monkeypatch: pyte
     assert cli.main(command("image", "raw.npz", ["-o", "x.npz"])) == 0
 
 
+@pytest.mark.skipif(os.name != "posix", reason="no such files there")
+def test_scatterers_come_from_a_regular_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A device without an end, a device that is empty, and what is no text."""
+    os.symlink("/dev/zero", "zero.csv")
+    os.symlink("/dev/null", "null.csv")
+    Path("binary.csv").write_bytes(bytes(range(256)))
+    Path("empty.csv").write_bytes(b"")
+    cases = {
+        "zero.csv": "regular file",
+        "null.csv": "regular file",
+        "binary.csv": "x,y,z",
+        "empty.csv": "x,y,z",
+        "raw.npz": "x,y,z",
+    }
+    for name, text in cases.items():
+        code = cli.main(["simulate", "-o", "x.npz", "--points", name])
+        err = capsys.readouterr().err
+        assert code == 2 and text in err and name in err and "Traceback" not in err and not Path("x.npz").exists()
+
+
 ROW = comparison.Row(
     "backproject", "tol 0.01", 1.0, 1.0, 1.0, 1, 0.1, 0.9, (3, 3), 1e6, 1e-3, False, 0.0, (0.1, 0.1), (-13.0, -13.0), 0.0
 )  # fmt: skip
