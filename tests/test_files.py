@@ -53,7 +53,7 @@ def mode(path: Path) -> int:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
-@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002, 0o027])
+@pytest.mark.parametrize("mask", [0o002, 0o077])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_new_file_has_the_permissions_of_the_umask(name: str, mask: int, parts: str, tmp_path: Path) -> None:
     before = os.umask(mask)
@@ -65,7 +65,7 @@ def test_a_new_file_has_the_permissions_of_the_umask(name: str, mask: int, parts
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
-@pytest.mark.parametrize("kept", [0o600, 0o640, 0o664, 0o666, 0o700, 0o777])
+@pytest.mark.parametrize("kept", [0o600, 0o666, 0o750])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_replaced_file_keeps_its_permissions(name: str, kept: int, parts: str, tmp_path: Path) -> None:
     path = tmp_path / name
