@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numbers
 import os
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,8 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complexfloating[Any, Any]]
+
+_MOST_THREADS = 2**31 - 1  # what an int of C holds
 
 
 def number(name: str, value: Any, *, positive: bool = False, low: float | None = None, high: float | None = None) -> float:
@@ -106,11 +109,14 @@ def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
 def threads(value: Any) -> int:
     """Number of worker threads: `value`, else PYSAS_NUM_THREADS, else the processors this process may use."""
     if value is not None:
-        return whole("threads", value)
+        if (count := whole("threads", value)) > _MOST_THREADS:
+            raise ValueError(f"threads={value!r:.60}: expected at most {_MOST_THREADS}")
+        return count
     text = os.environ.get("PYSAS_NUM_THREADS")
     if text is not None:
-        if not text.strip().isdigit() or int(text) < 1:
-            raise ValueError(f"PYSAS_NUM_THREADS={text!r}: expected a whole number >= 1")
+        # of ASCII digits: int() and isdigit() disagree on others, and int() takes "1_0"
+        if not re.fullmatch(r"\s*0*[1-9][0-9]{0,9}\s*", text, re.ASCII) or int(text) > _MOST_THREADS:
+            raise ValueError(f"PYSAS_NUM_THREADS={text!r:.60}: expected a whole number, 1 to {_MOST_THREADS}")
         return int(text)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 import time
@@ -55,8 +56,12 @@ def parser() -> argparse.ArgumentParser:
     def workers(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--threads", type=int, metavar="N", help="worker threads (default: all processors)")
 
+    def writes(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--overwrite", action="store_true", help="replace files that are there (never what is read)")
+
     demo = command("demo", "simulate a survey, image it and report the error")
     demo.add_argument("-o", "--output", default="demo", metavar="DIR", help="folder for the results (default: demo)")
+    writes(demo)
     workers(demo)
 
     def scene(sub: argparse.ArgumentParser) -> None:
@@ -67,6 +72,7 @@ def parser() -> argparse.ArgumentParser:
         sub.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
         sub.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
         sub.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
+        writes(sub)
         sub.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
         workers(sub)
 
@@ -87,6 +93,7 @@ def parser() -> argparse.ArgumentParser:
 
     simulate = command("simulate", "write simulated raw echoes")
     simulate.add_argument("-o", "--output", required=True, metavar="RAW", help="file to write (.npz, .h5)")
+    writes(simulate)
     simulate.add_argument("--points", metavar="FILE", help="scatterers, x,y,z,amplitude a line (default: the demo's)")
     simulate.add_argument("--pings", type=int, default=150)
     simulate.add_argument("--channels", type=int, default=6)
@@ -108,7 +115,7 @@ class Progress:
 
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
-        self.terminal = sys.stderr.isatty()
+        self.terminal = sys.stderr is not None and sys.stderr.isatty()
 
     def step(self, label: str) -> Callable[[float], None] | None:
         """A callback for one step of the work."""
@@ -130,7 +137,7 @@ class Progress:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code (0 well, 1 a failed check, 2 an error, 130 Ctrl-C)."""
+    """Run a command; returns the exit code (0 well, 1 a failed check or an image of nothing, 2 an error, 130 Ctrl-C)."""
     arguments = parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
 
     def warn(message: Any, *_: Any, **__: Any) -> None:
@@ -138,12 +145,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from pysas import commands
 
+    if isinstance(sys.stdout, io.TextIOWrapper):  # the work is not lost where a name cannot be printed
+        sys.stdout.reconfigure(errors="backslashreplace")
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = warn
         try:
             code = int(getattr(commands, arguments.command)(arguments, Progress(arguments.json)))
-            sys.stdout.flush()
+            if sys.stdout is not None:  # closed by the caller
+                sys.stdout.flush()
             return code
         except KeyboardInterrupt:
             print("pysas: interrupted", file=sys.stderr)

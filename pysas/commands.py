@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import errno
 import json
 import time
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pysas import _checks, comparison, compression, framing, io, metrics, plot, reference, tracks
+from pysas import _checks, _files, comparison, compression, framing, io, metrics, plot, reference, tracks
 from pysas import demo as demonstration
 from pysas._checks import FloatArray
+from pysas._containers import container
 from pysas.cli import Progress
 from pysas.echoes import Echoes
 from pysas.grid import Grid
@@ -30,14 +31,17 @@ def demo(arguments: argparse.Namespace, progress: Progress) -> int:
     """Simulate, save, image through the same path as `image`, and report the error."""
     folder = Path(arguments.output)
     folder.mkdir(parents=True, exist_ok=True)
+    with_picture = _matplotlib()
+    written = ["raw.npz", "image.npz", "report.json", "report.txt"] + ["image.png"] * with_picture
+    _files.check_outputs([("-o", str(folder / name)) for name in written], [], arguments.overwrite)
     clock = time.perf_counter()
     raw = demonstration.echoes(threads=arguments.threads, progress=progress.step("simulating"))
-    io.save(folder / "raw.npz", raw)
+    io.save(folder / "raw.npz", raw, overwrite=arguments.overwrite)
     simulated = time.perf_counter() - clock
-    with_picture = _matplotlib()
     choices = argparse.Namespace(
         raw=str(folder / "raw.npz"), output=str(folder / "image.npz"), tol=1e-3, grid=None, method="auto", backend="auto",
         nan="raise", threads=arguments.threads, png=str(folder / "image.png") if with_picture else None,
+        overwrite=arguments.overwrite,
     )  # fmt: skip
     picture, summary, echoes = _image(choices, progress, demonstration.grid())
     progress.step("checking")
@@ -46,8 +50,7 @@ def demo(arguments: argparse.Namespace, progress: Progress) -> int:
     summary["measured_error"] = metrics.relative_error(picture.data.ravel()[pixels], exact, level)
     summary["seconds"]["simulate"] = simulated
     summary["seconds"]["all"] = time.perf_counter() - clock
-    with io.replacing(folder / "report.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    _write_text(folder / "report.json", json.dumps(summary, indent=1) + "\n", arguments.overwrite)
     text = "\n".join(
         [
             _describe(picture, summary),
@@ -56,9 +59,7 @@ def demo(arguments: argparse.Namespace, progress: Progress) -> int:
             f"everything took {summary['seconds']['all']:.1f} s",
         ]
     )
-    with io.replacing(folder / "report.txt") as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
-    written = ["raw.npz", "image.npz", "report.json", "report.txt"] + ["image.png"] * with_picture
+    _write_text(folder / "report.txt", text + "\n", arguments.overwrite)
     if arguments.json:
         print(json.dumps(summary))
     else:
@@ -69,19 +70,17 @@ def demo(arguments: argparse.Namespace, progress: Progress) -> int:
 
 
 def image(arguments: argparse.Namespace, progress: Progress) -> int:
-    """Image a file of echoes."""
+    """Image a file of echoes; 1 where not one term was summed."""
     if arguments.output is None and arguments.png is None and not arguments.json:
         raise ValueError("nothing to write: expected -o IMAGE, --png FILE or --json")
     picture, summary, _ = _image(arguments, progress, None)
     print(json.dumps(summary) if arguments.json else _describe(picture, summary))
-    return 0
+    return int(picture.report.terms == 0)
 
 
 def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None) -> tuple[Image, dict[str, Any], Echoes]:
     """Load, compress if raw, image, save, draw; the one path of `demo` and `image`."""
-    if arguments.png is not None:
-        _require_matplotlib()
-    _require_places(arguments.output, arguments.png)
+    _require_places(arguments, [arguments.raw, arguments.grid], data=arguments.output, picture=arguments.png)
     echoes = _echoes(arguments.raw)
     how = "given grid"
     if grid is None:
@@ -102,10 +101,10 @@ def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None)
     seconds |= {"prepare": picture.report.prepare_seconds, "sum": picture.report.sum_seconds}
     targets = _targets(picture, echoes)
     if arguments.output is not None:
-        io.save(arguments.output, picture)
+        io.save(arguments.output, picture, overwrite=arguments.overwrite)
     if arguments.png is not None:
         marks = [target["true"] for target in targets]
-        plot.quicklook(picture, arguments.png, targets=marks or None)
+        plot.quicklook(picture, arguments.png, targets=marks or None, overwrite=arguments.overwrite)
     summary = {
         "raw": str(arguments.raw), "image": arguments.output, "png": arguments.png, "grid": how,
         "shape": list(grid.shape), "tol": arguments.tol, "report": picture.report.as_dict(), "seconds": seconds,
@@ -116,8 +115,7 @@ def _image(arguments: argparse.Namespace, progress: Progress, grid: Grid | None)
 
 def compare(arguments: argparse.Namespace, progress: Progress) -> int:
     """Every method on a file of echoes, its time beside its error."""
-    picture = None if arguments.png is None else _picture(arguments.png)
-    _require_places(None, arguments.png, arguments.output)
+    _require_places(arguments, [arguments.raw, arguments.grid], text=arguments.output, picture=arguments.png)
     limit, workers = _checks.number("limit", arguments.limit, positive=True), _checks.threads(arguments.threads)
     echoes = _echoes(arguments.raw)
     grid, how = _grid(arguments, echoes)
@@ -135,12 +133,10 @@ def compare(arguments: argparse.Namespace, progress: Progress) -> int:
     text = f"{Path(arguments.raw).name}: {found.traces} traces x {found.samples} samples; {how}, {grid.shape[0]} x "
     text += f"{grid.shape[1]} pixels\n\n{comparison.table(found)}\n{_COMPARED}"
     if arguments.output is not None:
-        with io.replacing(arguments.output) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    if picture is not None:
-        drawn = comparison.figure({Path(arguments.raw).name: found})
-        with io.replacing(arguments.png) as temporary:
-            drawn.savefig(temporary, format=picture, dpi=100)
+        _write_text(arguments.output, text, arguments.overwrite)
+    if arguments.png is not None:
+        drawn = comparison.figure({Path(arguments.raw).name.encode("utf-8", "backslashreplace").decode(): found})
+        plot.write(drawn, arguments.png, plot.picture_format(arguments.png), dpi=100, overwrite=arguments.overwrite)
     if arguments.json:
         names = {"raw": arguments.raw, "table": arguments.output, "png": arguments.png, "grid": how}
         print(json.dumps(names | dataclasses.asdict(found) | {"front": comparison.front(found.rows)}))
@@ -157,30 +153,33 @@ its tol: the data have energy outside their bandwidth or beyond fs/2.2, where no
 """
 
 
-def _require_matplotlib() -> None:
-    if not _matplotlib():
+def _require_places(
+    arguments: argparse.Namespace,
+    inputs: Iterable[str | None],
+    *,
+    data: str | None = None,
+    text: str | None = None,
+    picture: str | None = None,
+) -> None:
+    """Raise now what writing would raise after the work, and where it would cost a file."""
+    if picture is not None and not _matplotlib():
         raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+    if picture is not None:
+        plot.picture_format(picture)
+    if data is not None:
+        container(data)
+    outputs = [("-o", data), ("-o", text), ("--png", picture)]
+    _files.check_outputs(
+        [(option, path) for option, path in outputs if path is not None],
+        [path for path in inputs if path is not None],
+        arguments.overwrite,
+    )
 
 
-def _picture(path: str) -> str:
-    """Format of a picture by its suffix."""
-    _require_matplotlib()
-    from matplotlib.figure import Figure
-
-    found = Path(path).suffix.lstrip(".").lower() or "png"
-    known = Figure().canvas.get_supported_filetypes()
-    if found not in known:
-        raise ValueError(f"{path}: found suffix {Path(path).suffix!r}, expected one of {', '.join(sorted(known))}")
-    return found
-
-
-def _require_places(*names: str | None) -> None:
-    """Raise now what writing would raise after the work."""
-    if names[0] is not None and Path(names[0]).suffix.lower() not in (".npz", ".h5"):
-        raise ValueError(f"{names[0]}: found suffix {Path(names[0]).suffix!r}, expected .npz or .h5")
-    for name in names:
-        if name is not None and not Path(name).absolute().parent.is_dir():
-            raise FileNotFoundError(errno.ENOENT, "no such folder", str(Path(name).parent))
+def _write_text(path: str | Path, text: str, overwrite: bool) -> None:
+    """UTF-8; what a file's name holds beside text, escaped."""
+    with _files.replacing(path, overwrite=overwrite) as file:
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def _silenced(echoes: Echoes) -> Echoes:
@@ -274,6 +273,7 @@ def _describe(picture: Image, summary: dict[str, Any]) -> str:
 
 def simulate(arguments: argparse.Namespace, progress: Progress) -> int:
     """Write simulated raw echoes."""
+    _require_places(arguments, [arguments.points], data=arguments.output)
     step = progress.step("simulating")
     if arguments.points is None:
         raw = demonstration.echoes(arguments.pings, arguments.channels, arguments.seed, arguments.threads, step)
@@ -290,16 +290,17 @@ def simulate(arguments: argparse.Namespace, progress: Progress) -> int:
             duration=2 * reach / 1500.0 + pulse.duration, velocity=track.velocity, threads=arguments.threads, progress=step,
             ping_time=track.time, attrs={"truth_position": points[:, :3], "truth_amplitude": points[:, 3]},
         )  # fmt: skip
-    io.save(arguments.output, raw)
+    io.save(arguments.output, raw, overwrite=arguments.overwrite)
     print(json.dumps({"raw": arguments.output, "shape": list(raw.data.shape)}) if arguments.json else repr(raw))
     return 0
 
 
 def _points(path: str) -> FloatArray:
-    try:
-        points = np.loadtxt(path, delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}: expected lines of x,y,z,amplitude") from None
+    with _files.opened(path) as file:
+        try:
+            points = np.loadtxt(file, delimiter=",", ndmin=2)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}: expected lines of x,y,z,amplitude") from None
     if points.shape[0] == 0 or points.shape[1] != 4:
         raise ValueError(f"{path}: found {points.shape[1]} columns, expected x,y,z,amplitude")
     return np.asarray(points, dtype=np.float64)

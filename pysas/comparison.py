@@ -479,7 +479,7 @@ def figure(comparisons: Mapping[str, Comparison]) -> Any:
     handles: dict[str, Any] = {}
     for ax, (title, comparison) in zip(axes, comparisons.items(), strict=False):
         draw(ax, comparison.rows, front(comparison.rows))
-        ax.set_title(title, fontsize=10)
+        ax.set_title(title, fontsize=10, parse_math=False)  # may be the name of a file
         handles |= {text: handle for handle, text in zip(*ax.get_legend_handles_labels(), strict=True)}
     for ax in axes[len(comparisons) :]:
         ax.remove()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks
+from pysas import _checks, _files
 from pysas._checks import FloatArray
 from pysas.grid import Grid
 from pysas.image import Image
-from pysas.io import replacing
 
 _DPI = 150
 _FAR = 1e4  # coordinates beyond this are drawn about a round origin named on the axis
@@ -27,6 +27,7 @@ def quicklook(
     targets: npt.ArrayLike | None = None,
     title: str | None = None,
     ax: Any = None,
+    overwrite: bool = True,
 ) -> Any:
     """Draw the magnitude in dB below the 99.9th-percentile peak, axes in metres, equal aspect, colour bar.
 
@@ -44,6 +45,8 @@ def quicklook(
         Default: method and tol.
     ax : matplotlib Axes, optional
         Drawn into; default: a new figure.
+    overwrite : bool
+        False: a file that is there is an error.
 
     Returns
     -------
@@ -53,19 +56,19 @@ def quicklook(
     ------
     ImportError
         Without matplotlib; names the extra.
+    ValueError, TypeError
+        An argument outside its range, or a suffix that this matplotlib cannot write.
+    OSError
+        From the file system.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise _checks.optional("matplotlib", "plot") from None
     if not isinstance(image, Image):
         raise TypeError(f"image={type(image).__name__}: expected pysas.Image")
     dynamic_range = _checks.number("dynamic_range", dynamic_range, positive=True)
+    marks = None if targets is None else _checks.reals("targets", targets, [(2,), (3,), ("n", 2), ("n", 3)], ("target",))
+    kind = "" if path is None else picture_format(path)
     figure: Any
     if ax is None:
-        figure = Figure(figsize=_size(image), dpi=_DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = _figure(figsize=_size(image), dpi=_DPI, layout="constrained")
         ax = figure.add_subplot()
     else:
         figure = ax.figure
@@ -96,8 +99,8 @@ def quicklook(
         x, y, _ = grid.coordinates().T
         origin = _origin(x, y)
         drawn = ax.scatter(x - origin[0], y - origin[1], c=db.ravel(), s=4, **style)
-    if targets is not None:
-        marks = np.atleast_2d(np.asarray(targets, dtype=np.float64))
+    if marks is not None:
+        marks = np.atleast_2d(marks)
         ax.plot(marks[:, 0] - origin[0], marks[:, 1] - origin[1], "o", mfc="none", mec="deepskyblue", ms=9, mew=0.8)
     ax.set_aspect("equal")
     for axis, name, start in ((ax.xaxis, "x (along-track)", origin[0]), (ax.yaxis, "y (across-track)", origin[1])):
@@ -106,8 +109,45 @@ def quicklook(
     tol = "" if image.report.tol is None else f", tol {image.report.tol:g}"
     ax.set_title((f"{image.report.method}{tol}" if title is None else title) + note)
     if path is not None:
-        with replacing(Path(path)) as temporary:
-            figure.savefig(temporary, dpi=_DPI, format=Path(path).suffix.lstrip(".").lower() or "png")
+        write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
+    return figure
+
+
+def write(figure: Any, path: str | os.PathLike[str], kind: str, *, dpi: float, overwrite: bool) -> None:
+    """Write a figure in a format, complete or not at all.
+
+    It is drawn in memory first: some of matplotlib's formats stumble over a full disk.
+    """
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=dpi, format=kind)
+    with _files.replacing(path, overwrite=overwrite) as file:
+        file.write(drawn.getbuffer())
+
+
+def picture_format(path: str | os.PathLike[str]) -> str:
+    """Format of a picture by its suffix, PNG without one; an error where it cannot be written here."""
+    text, figure = _files.name(path), _figure(figsize=(0.1, 0.1))
+    figure.text(0, 0, "0")
+    found = Path(text).suffix.lstrip(".").lower() or "png"
+    known = figure.canvas.get_supported_filetypes()
+    if found not in known:
+        raise ValueError(f"{text}: found suffix {Path(text).suffix!r}, expected one of {', '.join(sorted(known))}")
+    try:  # a format may need programs or libraries beside matplotlib
+        figure.savefig(io.BytesIO(), format=found)
+    except (RuntimeError, ValueError, OSError, ImportError) as error:
+        raise ValueError(f"{text}: matplotlib cannot write {found} here: {error}") from error
+    return found
+
+
+def _figure(**choices: Any) -> Any:
+    """A figure of no window."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise _checks.optional("matplotlib", "plot") from None
+    figure = Figure(**choices)
+    FigureCanvasAgg(figure)
     return figure
 
 

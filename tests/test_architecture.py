@@ -30,7 +30,18 @@ SCRIPTS = {
 
 DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
 TOOLS = {"pysas._pool"}  # threads for any loop: without NumPy, so without a delay
-EDGE = {"pysas", "pysas.io", "pysas.plot", "pysas.cli", "pysas.__main__", "pysas.commands", "pysas.demo", "pysas.tracks"}
+EDGE = {
+    "pysas",
+    "pysas.io",
+    "pysas._files",
+    "pysas._containers",
+    "pysas.plot",
+    "pysas.cli",
+    "pysas.__main__",
+    "pysas.commands",
+    "pysas.demo",
+    "pysas.tracks",
+}
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = (
     "pysas.engine",

@@ -128,7 +128,7 @@ def test_grid_outside_the_record_warns(small, capsys):
     code, _, err = run(
         "image", small / "raw.npz", "-o", small / "far.npz", "--x", "0:1", "--y", "90:91", "--spacing", "0.1", capsys=capsys
     )
-    assert code == 0 and "pysas: warning: the grid lies outside the recorded window" in err
+    assert code == 1 and "pysas: warning: the grid lies outside the recorded window" in err
     assert not pysas.load(small / "far.npz").data.any()
 
 

@@ -426,6 +426,64 @@ def test_what_hdf5_can_hide_is_refused(case: str, tmp_path: Path) -> None:
 # Damage
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_parts_that_became_zero_or_changed_places_are_noticed(suffix: str, tmp_path: Path) -> None:
+    """As where a disk loses what it was given, or a copy is left sparse: whole blocks of zeros satisfy Fletcher-32."""
+    rng = np.random.default_rng(11)
+    data = (rng.standard_normal((4, 2, 2500, 2)).view(complex)[..., 0]).astype(np.complex64)
+    image = images()["masked plane"]
+    for number, item in enumerate((survey().replace(data=data), image)):
+        source, path = tmp_path / f"source{suffix}", tmp_path / f"damaged{suffix}"
+        io.save(source, item)
+        original = source.read_bytes()
+        size = 4096 if number == 0 else 256
+        starts = [*range(0, len(original), size), *rng.integers(0, len(original), 20).tolist()]
+        samples = item.data.tobytes()
+        spans = [(start, start + size) for start in starts]
+        spans.append((original.index(samples), original.index(samples) + len(samples)))
+        changed = 0
+        for first, last in spans:
+            raw = bytearray(original)
+            raw[first:last] = bytes(len(raw[first:last]))
+            other = bytearray(original)
+            second = int(rng.integers(0, len(original) - size))
+            if abs(second - first) >= size and first + size <= len(original):
+                other[first : first + size], other[second : second + size] = (
+                    original[second : second + size], original[first : first + size],
+                )  # fmt: skip
+            for damaged in (raw, other):
+                path.unlink(missing_ok=True)
+                path.write_bytes(damaged)
+                try:
+                    assert same(io.load(path), item)
+                except ValueError as error:
+                    changed += 1
+                    assert str(path) in str(error)
+        assert changed >= len(spans)
+
+
+def test_hdf5_files_without_checksums_of_arrays_are_read(tmp_path: Path) -> None:
+    """As other programs write them, in chunks with Fletcher-32 or without."""
+    io.save(tmp_path / "good.npz", survey())
+    fields = contents(tmp_path / "good.npz")
+    for options in ({}, {"chunks": True, "fletcher32": True}, {"compression": "gzip", "shuffle": True}):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            for name, value in fields.items():
+                array = value if value.dtype.kind != "U" else str(value)
+                file.create_dataset(name, data=array, **(options if value.ndim else {}))
+        assert same(io.load(tmp_path / "a.h5"), survey())
+
+
+def test_a_checksum_of_another_kind_is_refused(tmp_path: Path) -> None:
+    for value in (np.float64(1), np.arange(3), "x", np.int64(5)):
+        io.save(tmp_path / "a.h5", survey())
+        with h5py.File(tmp_path / "a.h5", "a") as file:
+            del file["data"].attrs["crc32"]
+            file["data"].attrs["crc32"] = value
+        with pytest.raises(ValueError, match="data: damaged .*for crc32"):
+            io.load(tmp_path / "a.h5")
+
+
 MUTATE = """
 import json, os, sys, warnings
 from pathlib import Path
@@ -481,7 +539,7 @@ outcome = {"refused": 0, "same": 0, "wrong": []}
 wanted = values(good)
 for number in range(count):
     path = folder / f"mutated{source.suffix}"
-    kind = ("flip", "flip", "burst", "cut", "swap")[number % 5]
+    kind = ("flip", "flip", "burst", "cut", "swap", "zeros", "ones", "out", "in", "copy")[number % 10]
     raw = bytearray(original)
     if kind == "flip":
         raw[rng.integers(len(raw))] ^= 1 << rng.integers(8)
@@ -491,6 +549,18 @@ for number in range(count):
             raw[place] = rng.integers(256)
     elif kind == "cut":
         del raw[rng.integers(len(raw)):]
+    elif kind in ("zeros", "ones"):
+        start, length = rng.integers(len(raw)), rng.integers(1, 64)
+        raw[start:start + length] = bytes([0 if kind == "zeros" else 255]) * len(raw[start:start + length])
+    elif kind == "out":
+        start, end = sorted(rng.integers(0, len(raw), 2))
+        del raw[start:end]
+    elif kind == "in":
+        start = rng.integers(len(raw))
+        raw[start:start] = rng.bytes(rng.integers(1, 100))
+    elif kind == "copy":
+        start, source_start, length = *rng.integers(0, len(raw), 2), rng.integers(1, 200)
+        raw[start:start + length] = raw[source_start:source_start + length]
     path.unlink(missing_ok=True)
     swapped(path) if kind == "swap" else path.write_bytes(raw)
     try:

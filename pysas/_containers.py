@@ -1,0 +1,400 @@
+"""The two containers of named arrays that `io` keeps its schemas in: .npz and .h5 (h5py, extra `hdf5`).
+
+Reading never unpickles and trusts no size: dtype and shape come from each field's header and are compared with the bytes
+that lie in the file before anything is allocated. Both carry checksums: CRC-32 of each .npz member; in .h5 those of the
+format's metadata, and CRC-32 of each array in its attribute "crc32" (files without it are read all the same).
+
+HDF5 ends the process at its own exit where a file cannot be written (a full disk), so it never writes to one here: it lays
+out the file in memory, without the arrays' bytes, and Python writes those and the layout.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import threading
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+
+Array = npt.NDArray[Any]
+Open = Callable[[IO[bytes]], contextlib.AbstractContextManager["File"]]
+Write = Callable[[IO[bytes], Mapping[str, Array]], None]
+
+_MOST_EXPANSION = 1032  # deflate cannot expand by more ("Maximum Compression Factor", zlib technical details)
+_MOST_HEADER = 2**16  # of an array in .npz; numpy's own take a hundred bytes
+_CHUNK_BYTES = 2**20
+_BLOCK_BYTES = 2**24  # written at once
+_COMPACT_BYTES = 60_000  # HDF5 keeps data of less than 64 KiB in the (checksummed) object header where asked
+_SAFE_FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, Fletcher-32, LZF: built in, and none expands by more than deflate
+_CHECKSUM = "crc32"
+KINDS = {  # what an error says, and dtypes without byte order
+    "samples": ("complex64 or complex128", ("c8", "c16")), "real": ("float64", ("f8",)), "bool": ("bool", ("b1",)),
+    "truth": ("float64 or complex128", ("f8", "c16")), "text": ("a string", ()),
+}  # fmt: skip
+
+
+def container(path: str) -> tuple[Open, Write]:
+    """How a file of this name is opened and written."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".npz":
+        return _open_npz, _write_npz
+    if suffix != ".h5":
+        raise ValueError(f"{path}: found suffix {suffix!r}, expected .npz or .h5")
+    _h5py()
+    return _open_h5, _write_h5
+
+
+@contextlib.contextmanager
+def _blamed(name: str, what: str = "") -> Iterator[None]:
+    """Whatever zipfile, zlib, numpy and h5py say of wrong bytes, as a ValueError that names the field."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except Exception as error:
+        said = str(error) or type(error).__name__
+        raise ValueError(f"{name}: {what} ({said})" if what else f"{name}: {said}") from error
+
+
+def _allocated(name: str, shape: tuple[int, ...], dtype: np.dtype[Any], order: Any = "C") -> Array:
+    try:
+        return np.empty(shape, dtype=dtype, order=order)
+    except MemoryError:
+        size = math.prod(shape) * dtype.itemsize
+        raise MemoryError(f"{name}: no memory for {size / 2**20:.0f} MiB, {dtype} of shape {shape}") from None
+
+
+def _bytes(array: Array) -> Array:
+    """The bytes of a contiguous array, not copied."""
+    return array.reshape(-1, order="A").view(np.uint8) if array.nbytes else np.empty(0, dtype=np.uint8)
+
+
+class File:
+    """An open file: `fields` gives the shape and dtype that each field declares, found to agree with its bytes."""
+
+    fields: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
+
+    def read(self, name: str) -> Array:
+        """The field's entries."""
+        raise NotImplementedError
+
+    def text(self, name: str) -> str:
+        """A string field."""
+        self.check({name: ("text", "")}, [name])
+        value = self.read(name).reshape(-1)[0]
+        try:
+            return value.decode("utf-8") if isinstance(value, bytes) else str(value)
+        except UnicodeDecodeError:
+            raise ValueError(f"{name}: found {value!r:.60}, expected UTF-8 text") from None
+
+    def together(self, names: tuple[str, ...]) -> bool:
+        """Whether a group of fields is there; part of one is an error."""
+        missing = [name for name in names if name not in self.fields]
+        if 0 < len(missing) < len(names):
+            there = next(name for name in names if name in self.fields)
+            raise ValueError(f"{missing[0]}: missing, expected beside {there}")
+        return not missing
+
+    def check(self, table: Mapping[str, tuple[str, ...]], needed: Iterable[str]) -> None:
+        """Presence, dtypes and shapes, against the schema and each other; nothing is read."""
+        for name in needed:
+            if name not in self.fields:
+                raise ValueError(f"{name}: missing, expected {KINDS[table[name][0]][0]}")
+        sizes: dict[str, int] = {}
+        for name, (kind, *shapes) in sorted(table.items(), key=lambda item: item[0] != "data"):
+            if name not in self.fields:
+                continue
+            shape, dtype = self.fields[name]
+            if not (dtype.kind in "US" and math.prod(shape) == 1 if kind == "text" else dtype.str[1:] in KINDS[kind][1]):
+                raise ValueError(f"{name}: found {dtype} of shape {shape}, expected {KINDS[kind][0]}")
+            if kind == "text":
+                continue
+            for words in map(str.split, shapes):
+                wanted = [int(word) if word.isdigit() else sizes.get(word, n) for word, n in zip(words, shape, strict=False)]
+                if len(words) == len(shape) and tuple(wanted) == shape:
+                    sizes |= {word: n for word, n in zip(words, shape, strict=True) if not word.isdigit()}
+                    break
+            else:
+                known = [" ".join(f"{w}={sizes[w]}" if w in sizes else w for w in words.split()) for words in shapes]
+                text = " or ".join(f"({one.replace(' ', ', ')}{',' * (one != '' and ' ' not in one)})" for one in known)
+                raise ValueError(f"{name}: found shape {shape}, expected {text}")
+
+
+class _Bounded:
+    """A file that gives only pieces of what it has: a directory said to be as long as a sparse file is not read."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+
+    def read(self, size: int = -1) -> bytes:
+        most = 2 * _CHUNK_BYTES
+        found = self._file.read(min(size, most + 1) if size >= 0 else most + 1)
+        if len(found) > most:
+            raise ValueError(f"found more than {most} bytes where its directory should be")
+        return found
+
+
+class _Npz(File):
+    def __init__(self, archive: zipfile.ZipFile, size: int) -> None:
+        self._archive, self._size = archive, size
+        self._members: dict[str, zipfile.ZipInfo] = {}
+        self._start: dict[str, tuple[int, bool]] = {}
+        self.fields = {}
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            if name in self._members:
+                raise ValueError(f"{name}: found twice, expected one member of that name")
+            self._members[name] = info
+            with _blamed(name, "damaged or not .npy"):
+                self._describe(name, info)
+
+    def _describe(self, name: str, info: zipfile.ZipInfo) -> None:
+        stored = info.compress_type == zipfile.ZIP_STORED
+        if info.flag_bits & 1 or not (stored or info.compress_type == zipfile.ZIP_DEFLATED):
+            raise ValueError("found an encrypted or unusual member, expected a stored or deflated one")
+        most = info.compress_size * (1 if stored else _MOST_EXPANSION)
+        if info.file_size > most or info.header_offset + info.compress_size > self._size:
+            raise ValueError(f"found {info.file_size} bytes declared, expected at most {min(most, self._size * 1032)}")
+        with self._archive.open(info) as stream:  # also compares the two names that a zip file holds
+            if not info.filename.endswith(".npy"):
+                return
+            head = io.BytesIO(stream.read(_MOST_HEADER))
+        version = np.lib.format.read_magic(head)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(head)
+        start = head.tell()
+        declared = math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or start + declared != info.file_size:
+            raise ValueError(f"found {dtype} of shape {shape} in {info.file_size - start} bytes, expected {declared} bytes")
+        self.fields[name] = shape, dtype
+        self._start[name] = start, fortran
+
+    def read(self, name: str) -> Array:
+        shape, dtype = self.fields[name]
+        if dtype.hasobject:
+            raise ValueError(f"{name}: found {dtype}, expected no Python objects")
+        start, fortran = self._start[name]
+        array = _allocated(name, shape, dtype, "F" if fortran else "C")
+        target = _bytes(array)
+        with _blamed(name, "damaged"), self._archive.open(self._members[name]) as stream:
+            stream.read(start)
+            done = 0
+            while done < target.size:
+                part = stream.read(min(_CHUNK_BYTES, target.size - done))
+                if not part:
+                    raise ValueError(f"ends {target.size - done} bytes early")
+                target[done : done + len(part)] = np.frombuffer(part, dtype=np.uint8)
+                done += len(part)
+            stream.read(1)  # the end: here zipfile compares the checksum
+        return array
+
+
+@contextlib.contextmanager
+def _open_npz(file: IO[bytes]) -> Iterator[File]:
+    size = file.seek(0, io.SEEK_END)
+    with zipfile.ZipFile(_Bounded(file)) as archive:
+        yield _Npz(archive, size)
+
+
+def _write_npz(file: IO[bytes], fields: Mapping[str, Array]) -> None:
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in fields.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, array, allow_pickle=False)
+
+
+class _H5(File):
+    def __init__(self, file: Any, size: int) -> None:
+        self._file, self._size = file, size
+        self.fields = {}
+        for name in file:
+            with _blamed(name):
+                self._describe(name)
+
+    def _describe(self, name: str) -> None:
+        h5py = _h5py()
+        if not isinstance(self._file.get(name, getlink=True), h5py.HardLink):
+            raise ValueError("found a link, expected a dataset within the file")
+        item = self._file[name]
+        if not isinstance(item, h5py.Dataset) or item.shape is None:
+            self.fields[name] = (0,), np.dtype(object)  # a group or an empty dataset: no field of ours looks like that
+            return
+        if item.is_virtual or item.external:
+            raise ValueError("found samples kept in other files, expected them within this one")
+        properties = item.id.get_create_plist()
+        filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
+        if not filters <= _SAFE_FILTERS:
+            raise ValueError(f"found HDF5 filters {sorted(filters)}, expected some of {sorted(_SAFE_FILTERS)}")
+        text = h5py.check_string_dtype(item.dtype)
+        if text is not None and text.length is None:
+            self.fields[name] = item.shape, np.dtype("U")
+            return
+        stored, declared = item.id.get_storage_size(), math.prod(item.shape) * item.dtype.itemsize
+        most = stored * (_MOST_EXPANSION if filters & {1, 32000} else 1)
+        if declared > most or stored > self._size:
+            raise ValueError(f"found {declared} bytes declared and {stored} stored, expected all of them stored")
+        if item.chunks is not None and declared:
+            count = math.prod(-(-n // k) for n, k in zip(item.shape, item.chunks, strict=True))
+            large = math.prod(item.chunks) * item.dtype.itemsize > max(declared, _CHUNK_BYTES)
+            if large or item.id.get_num_chunks() != count:
+                raise ValueError(f"found {item.id.get_num_chunks()} chunks of {item.chunks}, expected {count} that fit")
+        self.fields[name] = item.shape, item.dtype
+
+    def read(self, name: str) -> Array:
+        shape, dtype = self.fields[name]
+        item = self._file[name]
+        if dtype.kind == "U":  # of a length that only its bytes tell
+            with _blamed(name, "damaged"):
+                return np.asarray(item[()])
+        array = _allocated(name, shape, dtype)
+        with _blamed(name, "damaged"):
+            if array.size:
+                item.read_direct(array)
+            if _CHECKSUM in item.attrs:
+                kept = item.attrs.get_id(_CHECKSUM)
+                if kept.shape != () or kept.dtype.kind != "u":
+                    raise ValueError(f"found {kept.dtype} of shape {kept.shape} for {_CHECKSUM}, expected a whole number")
+                if zlib.crc32(_bytes(array).data) != item.attrs[_CHECKSUM]:
+                    raise ValueError("found other bytes than were written, by their CRC-32")
+        return array
+
+
+@contextlib.contextmanager
+def _open_h5(file: IO[bytes]) -> Iterator[File]:
+    with _h5py().File(file.name, "r") as opened:
+        yield _H5(opened, file.seek(0, io.SEEK_END))
+
+
+class _Pages(io.RawIOBase):
+    """A file in memory that keeps the pages written to: the bytes of arrays that HDF5 makes room for take none."""
+
+    SIZE = 4096
+
+    def __init__(self) -> None:
+        self.pages: dict[int, bytearray] = {}
+        self._at = self._end = 0
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = offset + (0, self._at, self._end)[whence]
+        return self._at
+
+    def _pieces(self, size: int) -> Iterator[tuple[int, int, slice]]:
+        """Of the next `size` bytes: which page, from where on in it, and where among the bytes."""
+        done = 0
+        while done < size:
+            page, start = divmod(self._at, self.SIZE)
+            count = min(self.SIZE - start, size - done)
+            yield page, start, slice(done, done + count)
+            done += count
+            self._at += count
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        for page, start, place in self._pieces(len(view)):
+            count = place.stop - place.start
+            view[place] = self.pages[page][start : start + count] if page in self.pages else bytes(count)
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data).cast("B")
+        for page, start, place in self._pieces(len(view)):
+            kept = self.pages.setdefault(page, bytearray(self.SIZE))
+            kept[start : start + place.stop - place.start] = view[place]
+        self._end = max(self._end, self._at)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        self._end = self._at if size is None else size
+        return self._end
+
+
+def _write_h5(file: IO[bytes], fields: Mapping[str, Array]) -> None:
+    h5py = _h5py()
+    arrays, checks = {}, {}
+    for name, array in fields.items():
+        if array.dtype.kind == "U":
+            encoded = str(array[()]).encode()
+            kind = h5py.string_dtype("utf-8", max(1, len(encoded)))
+            array = np.array(encoded if len(encoded) <= _COMPACT_BYTES else [encoded], dtype=kind)
+        arrays[name] = array
+        if array.ndim and array.size:
+            checks[name] = 0
+            for block in _blocks(array):
+                checks[name] = zlib.crc32(block.data, checks[name])
+    pages, places, size = _uninterrupted(lambda: _laid_out(arrays, checks))
+    file.truncate(size)
+    for number, page in sorted(pages.items()):
+        file.seek(number * _Pages.SIZE)
+        file.write(page[: size - number * _Pages.SIZE])
+    for name, place in places.items():
+        file.seek(place)
+        for block in _blocks(arrays[name]):
+            file.write(block.data)
+
+
+def _laid_out(arrays: Mapping[str, Array], checks: Mapping[str, int]) -> tuple[dict[int, bytearray], dict[str, int], int]:
+    """An HDF5 file without the bytes of those arrays that `checks` has: its pages, those arrays' places, and its length."""
+    h5py, pages, places = _h5py(), _Pages(), {}
+    # from version 1.8 of the format on, all metadata carry checksums; the bounds keep the file readable from 1.10 on
+    with h5py.File(pages, "w", libver=("v110", "v110")) as made:
+        for name, array in arrays.items():
+            layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            layout.set_layout(h5py.h5d.CONTIGUOUS if name in checks else h5py.h5d.COMPACT)
+            layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+            layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+            kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create_simple(array.shape)
+            item = h5py.h5d.create(made.id, name.encode(), kind, space, layout)
+            if name in checks:
+                h5py.Dataset(item).attrs.create(_CHECKSUM, checks[name], dtype="<u4")
+                places[name] = item.get_offset()
+            else:
+                item.write(h5py.h5s.ALL, h5py.h5s.ALL, array)
+        made.flush()
+        size = made.id.get_filesize()
+    return pages.pages, places, size
+
+
+def _uninterrupted(work: Callable[[], Any]) -> Any:
+    """The result of milliseconds of work in a thread of its own: HDF5 makes another error of a Ctrl-C within its callbacks."""
+    done: Future[Any] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    try:
+        threading.Thread(target=run).start()
+    except RuntimeError:  # Python ends and starts no more
+        run()
+    return done.result()
+
+
+def _blocks(array: Array) -> Iterator[Array]:
+    """The entries in order of C, some at a time, copied only where they do not lie so."""
+    if array.flags.c_contiguous:
+        flat = _bytes(array)
+        yield from (flat[at : at + _BLOCK_BYTES] for at in range(0, flat.size, _BLOCK_BYTES))
+    else:
+        most = max(_BLOCK_BYTES // array.itemsize, 1)
+        yield from np.nditer(array, flags=["external_loop", "buffered"], buffersize=most, order="C")
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise _checks.optional("h5py", "hdf5") from None
+    return h5py
