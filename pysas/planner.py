@@ -265,7 +265,7 @@ def _plant(
     if site is not None and site.seconds + alone * site.trees > most - growing:
         return None, LONGER
     if site is not None:
-        forest, why = _grow(scene, site, tol, backend, not fallback)
+        forest, why = _grow(scene, site, tol, backend, not fallback, (most - growing) / max(alone, 1e-9))
     if forest is not None:
         forest.seconds += alone * len(forest.trees)
         if forest.seconds > most:
@@ -339,8 +339,10 @@ def _site(
     return _Site(frame, image, layout, near, share, relief, height, seconds, planes * groups), ""
 
 
-def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> tuple[Forest | None, str]:
-    """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all)."""
+def _grow(
+    scene: Scene, site: _Site, tol: float, backend: str, whole: bool, most: float
+) -> tuple[Forest | None, str]:  # fmt: skip
+    """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all), about `most` trees."""
     error = SHARE_PHASE * site.share
 
     def grown(layout: Layout, least: Fraction) -> Forest | None:
@@ -350,7 +352,8 @@ def _grow(scene: Scene, site: _Site, tol: float, backend: str, whole: bool) -> t
     layout = site.layout
     forest = grown(layout, Fraction(0))
     # shorter groups see more as from a line, and nearer pixels from afar
-    while forest is None and layout.length > site.layout.length / 8:
+    shortest = site.layout.length * max(1 / 8, site.trees / max(most, 1e-9))
+    while forest is None and layout.length > shortest:
         layout = dataclasses.replace(layout, length=layout.length * 0.7)
         forest = grown(layout, Fraction(0))
     choices = None
