@@ -100,6 +100,8 @@ def _choose_filter(
             if best is None or cost < best[0]:
                 best = (cost, filter)
             break
+    if best is None and wide:
+        raise ValueError(f"budget={budget:g}: no filter keeps it at a rate of {fixed}")
     assert best is not None  # a longer filter and a higher degree reach every budget that is let in
     filter = best[1]
     errors["interpolation"] = filter.error

@@ -25,9 +25,9 @@ from pysas.engine import native, summation
 from pysas.planner import SHARE_LEAVES, SHARE_ROUNDING
 from pysas.plans import Choices, Plan
 
-TERMS = 2**11, 2**15  # looked at, at least and at most; of those between, one of
+TERMS = 2**10, 2**14  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000
-EXCESS = 1.5  # of tol, by which bounds may be exceeded before anything is done: what is measured is so uncertain
+EXCESS = 1.25  # of tol, by which bounds may be exceeded before anything is done: what is measured is so uncertain
 KEPT = ("sub-images", "relief", "view angles")  # errors of a plan that its tables have no part in
 BESIDE = "bright samples beside"
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
@@ -72,14 +72,22 @@ def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: f
     ends = _ends(plan, data, some)
     if plan.forest is not None:
         error = plan.choices.errors["sub-images"]
-        near = data.mean_squares(some.trace, some.place, _tree_reach(plan))
+        reach = _tree_reach(plan)
+        squares = error**2 * weight * data.mean_squares(some.trace, some.place, reach)
+        for side, distance in ((0, some.place), (1, plan.scene.n_sample - 1 - some.place)):
+            # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them
+            squares += ends[side, some.trace] * ringing(np.maximum(distance, reach), plan.scene.band) ** 2
         rest = plan.choices.predicted_error - error
-        if error * math.sqrt(np.mean(weight * near)) > (EXCESS * plan.budget - rest) * own:
+        if math.sqrt(np.mean(squares)) > (EXCESS * plan.budget - rest) * own:
             plan = _direct(plan)
     error, planned = _measured(plan, data, some, weight, ends)
     if error <= (EXCESS * plan.budget - plan.choices.predicted_error + planned) * own:
         return plan
-    plan = _wide(plan, math.sqrt(np.max(ends)) / own if own > 0 else 1e12)
+    brighter = math.sqrt(np.max(ends)) / own if own > 0 else 1e12
+    try:
+        plan = _wide(plan, brighter)
+    except ValueError:  # the tree's rate is too low for all that whole records hold
+        plan = _wide(_direct(plan), brighter)
     if own > 0:
         error, _ = _measured(plan, data, some, weight, ends)
         choices = plan.choices
@@ -131,12 +139,12 @@ def ringing(distance: npt.NDArray[np.int64], band: float) -> FloatArray:
 
 
 def _ends(plan: Plan, data: _Data, some: Terms) -> FloatArray:
-    """Mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
+    """Twice the mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
     n, number = plan.scene.n_sample, np.flatnonzero(data.used)
     weight = np.abs(plan.scene.weights[number]) ** 2
     out = np.zeros((2, data.used.size))
     for side, place in enumerate((0, n - 1)):
-        found = data.mean_squares(number, np.full(number.size, place), ENDS) * (2 * ENDS + 1)
+        found = data.mean_squares(number, np.full(number.size, place), ENDS) * 2 * (2 * ENDS + 1) / (ENDS + 1)
         out[side, number] = weight * found
     return out
 
@@ -156,7 +164,8 @@ def _measured(plan: Plan, data: _Data, some: Terms, weight: FloatArray, ends: Fl
     """
     c, scene = plan.choices, plan.scene
     planned = 0.0 if c.wide else c.errors["interpolation"]  # in whole records' tables it is wrong by what is read itself
-    reach = (c.taps + 1) // 2 if not c.n_fft else (c.taps + 3) // 4
+    reach = (c.taps // 2 if not c.n_fft else (c.taps + 3) // 4) + 1
+    reach = reach if c.taps else 0
     beside = WIDE_ERROR if c.wide else planned
     squares = np.zeros(some.trace.size)
     if reach:
@@ -164,18 +173,13 @@ def _measured(plan: Plan, data: _Data, some: Terms, weight: FloatArray, ends: Fl
     if not reach:  # transforms' polynomials are wrong by what they read
         squares += planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
     hidden = "wrap-round" if "wrap-round" in c.errors else "record's ends"
-    pad = c.n_fft - c.length if c.n_fft and not c.taper else 0
-    if c.wide:
-        pad = c.n_fft - scene.n_sample
     start = scene.first - 1 - c.margin
     within = (start + c.taper <= 0, start + c.length - c.taper >= scene.n_sample)
     for side, distance in ((0, some.place), (1, scene.n_sample - 1 - some.place)):
-        if c.n_fft and not c.taper:  # it is read as it is, and comes round behind the other end
-            distance = scene.n_sample - 1 - distance + pad
-        rings = ringing(distance, scene.band)
-        if c.taper:  # a cut leaves it in or takes it away
-            rings[within[side][some.trace]] = 0
-        squares += ends[side, some.trace] * rings**2
+        if c.n_fft:  # what is not cut away is read as it is, and comes round behind the other end
+            kept = within[side][some.trace] if c.taper else True
+            distance = np.where(kept, c.n_fft - distance, distance)
+        squares += ends[side, some.trace] * ringing(distance, scene.band) ** 2
     if c.n_fft:
         number = np.flatnonzero(data.used)
         middle = np.full(number.size, scene.n_sample // 2)

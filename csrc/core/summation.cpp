@@ -198,6 +198,7 @@ template <typename Sample>
 void mean_squares(const View<const Sample, 3>& data, const Places& places, double scale, double* out, int threads,
                   const Tick& tick) {
     const std::int64_t channels = data.shape[1], last = data.shape[2] - 1;
+    const double inverse = std::min(1 / scale, std::numeric_limits<double>::max());  // one over a subnormal is infinite
     const std::int64_t at_once = std::max<std::int64_t>(1, 16384 / std::min(2 * places.reach + 1, last + 1));
     run((places.count + at_once - 1) / at_once, threads,
         [&](std::int64_t task) {
@@ -209,7 +210,7 @@ void mean_squares(const View<const Sample, 3>& data, const Places& places, doubl
                 double sum = 0;
                 for (std::int64_t n = from; n <= to; ++n) {
                     const Sample s = trace[n * data.stride[2]];
-                    const double a = s.real() / scale, b = s.imag() / scale;
+                    const double a = s.real() * inverse, b = s.imag() * inverse;
                     sum += a * a + b * b;
                 }
                 out[i] = sum / static_cast<double>(2 * places.reach + 1);
