@@ -9,7 +9,9 @@
  * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
  * (tau - t0) fs <= n_sample - 1. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where
- * level^2 is the sum of the terms' squares.
+ * level^2 is the sum of the terms' squares. Not where samples that no pixel reads are far brighter than those that
+ * pixels do (from 30 dB on), within 200 samples of them or at the record's first or last sample: an echo just outside
+ * the grid, a transmit pulse cut by the record's start. There the error is tol times as much as these are brighter.
  */
 #ifndef PYSAS_H
 #define PYSAS_H
