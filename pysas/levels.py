@@ -30,6 +30,8 @@ ONE_OF = 2000
 EXCESS = 1.25  # of tol, by which bounds may be exceeded before anything is done: what is measured is so uncertain
 KEPT = ("sub-images", "relief", "view angles")  # errors of a plan that its tables have no part in
 BESIDE = "bright samples beside"
+TREE = 2.0  # errors of a tree beside bright nodes, in those spread evenly over its reach: 3 at most of 60 scenes
+TREE_EXCESS = 1.5  # as EXCESS: what bright samples pixels do read differs more from what is measured over a tree's reach
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
 TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
 
@@ -71,14 +73,15 @@ def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: f
     own = math.sqrt(np.mean(weight * data.mean_squares(some.trace, some.place, 1)))
     ends = _ends(plan, data, some)
     if plan.forest is not None:
-        error = plan.choices.errors["sub-images"]
         reach = _tree_reach(plan)
-        squares = error**2 * weight * data.mean_squares(some.trace, some.place, reach)
+        beside = weight * data.mean_squares(some.trace, some.place, reach)
+        excess = math.sqrt(max(float(np.mean(beside)) - own**2, 0.0))
+        squares = np.zeros(some.trace.size)
         for side, distance in ((0, some.place), (1, plan.scene.n_sample - 1 - some.place)):
             # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them
             squares += ends[side, some.trace] * ringing(np.maximum(distance, reach), plan.scene.band) ** 2
-        rest = plan.choices.predicted_error - error
-        if math.sqrt(np.mean(squares)) > (EXCESS * plan.budget - rest) * own:
+        wrong = math.hypot(TREE * plan.choices.errors["sub-images"] * excess, math.sqrt(np.mean(squares)))
+        if wrong > (TREE_EXCESS * plan.budget - plan.choices.predicted_error) * own:
             plan = _direct(plan)
     error, planned = _measured(plan, data, some, weight, ends)
     if error <= (EXCESS * plan.budget - plan.choices.predicted_error + planned) * own:
