@@ -78,9 +78,11 @@ def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: f
         excess = math.sqrt(max(float(np.mean(beside)) - own**2, 0.0))
         squares = np.zeros(some.trace.size)
         for side, distance in ((0, some.place), (1, plan.scene.n_sample - 1 - some.place)):
-            # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them
-            squares += ends[side, some.trace] * ringing(np.maximum(distance, reach), plan.scene.band) ** 2
-        wrong = math.hypot(TREE * plan.choices.errors["sub-images"] * excess, math.sqrt(np.mean(squares)))
+            # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them.
+            # Ends about as bright as what pixels read are in the tree's own bounds
+            brighter = np.maximum(ends[side, some.trace] - 10 * own**2, 0)
+            squares += brighter * ringing(np.maximum(distance, reach), plan.scene.band) ** 2
+        wrong = TREE * math.hypot(plan.choices.errors["sub-images"] * excess, math.sqrt(np.mean(squares)))
         if wrong > (TREE_EXCESS * plan.budget - plan.choices.predicted_error) * own:
             plan = _direct(plan)
     error, planned = _measured(plan, data, some, weight, ends)

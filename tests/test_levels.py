@@ -10,6 +10,7 @@ import pytest
 from scenes import noise, straight
 
 import pysas
+from pysas import planner
 from pysas.engine import native
 
 BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
@@ -126,6 +127,19 @@ def test_plain_data_are_imaged_as_planned(backend, method):
             report = plan(data).report
             assert not report.choices["wide"] and report.predicted_error == plan.choices.predicted_error
             assert report.choices == plan.reported
+
+
+@pytest.mark.skipif(native.extension() is None, reason="needs the C++ extension")
+def test_trees_over_whole_records_of_plain_data_stay(monkeypatch):
+    """Record ends ring in every image that reaches them; only ends brighter than the image are a reason to leave trees."""
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: 1e9)
+    echoes = straight(128, bandwidth=30e3)
+    step = C / echoes.fs / 2
+    grid = pysas.Grid.plane((np.arange(64) - 32) * 0.02, 19.0 + np.arange(820) * step)
+    for tol in (1e-3, 1e-4):
+        plan = pysas.plan(echoes, grid, tol, "ffbp", backend="cpp")
+        assert plan.forest is not None
+        assert plan(echoes.data).report.factorised_share == plan.forest.share > 0.5
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
