@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, bounds, engine, factorised, planner, plans, view_angles
+from pysas import _checks, bounds, engine, factorised, levels, planner, plans, view_angles
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
@@ -150,7 +150,7 @@ def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexf
 
 def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None) -> Image:
     """Carry out `plan` on `data`; what `Plan.__call__` does."""
-    scene, choices, grid = plan.scene, plan.choices, plan.grid
+    scene, grid, asked = plan.scene, plan.grid, plan
     samples = _checks.samples("data", data, (2, 3))
     if samples.shape != plan.data_shape:
         raise ValueError(f"data: expected the planned shape {plan.data_shape}, found {samples.shape}")
@@ -181,6 +181,9 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     if largest > 0:
         scale *= float(2.0 ** np.frexp(largest)[1])
     order = np.flatnonzero(used)
+    plan = levels.fit(plan, samples, used, scale)
+    choices = plan.choices
+    notes += [] if plan is asked else levels.notes(plan)
 
     totals = Totals(0.0, 0.0, 0)
     isa = engine.isa(plan.backend)
@@ -277,7 +280,7 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     scene, choices = plan.scene, plan.choices
     geometry = scene.geometry[order]
     start = np.zeros(order.size, dtype=np.int64)
-    if choices.taper or (choices.taps and not choices.n_fft):
+    if choices.taper or (choices.taps and (choices.wide or not choices.n_fft)):
         start = scene.first[order] - 1 - choices.margin
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
@@ -289,7 +292,7 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
 
 def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator | native.Reader:
     """What makes coefficients from samples, as chosen."""
-    kind = np.complex64 if choices.precision == "float32" else np.complex128
+    kind = np.complex64 if choices.precision == "float32" and not choices.wide else np.complex128
     if not choices.taps:
         return preparation.interpolator(
             choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta, kind
@@ -299,10 +302,11 @@ def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator |
         return native.Reader(
             native.design(band, choices.degree, choices.phases, choices.step, error, choices.taps), choices.length
         )
-    filter = native.design(0.25, choices.degree, choices.phases, choices.step, error, choices.taps)
+    least = choices.taps if choices.wide else native.LEAST_TAPS
+    filter = native.design(0.25, choices.degree, choices.phases, choices.step, error, choices.taps, least)
     window = preparation.smooth_cut(choices.length, choices.taper, choices.beta, kind)
     cut = preparation.Cut(choices.length, choices.n_fft, window)
-    return native.Reader(filter, choices.length, cut)
+    return native.Reader(filter, choices.length, cut, choices.wide)
 
 
 class Frame:

@@ -19,28 +19,36 @@ from pysas.plans import Choices
 from pysas.scene import Scene
 
 SHARE_INTERPOLATION = 0.85
+SHARE_WIDE = 0.3  # the same of tables of whole records: all they hold may be at the band's edge, where bounds leave no margin
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
 LONGEST_BLOCK = 64
 BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
+# of a filter at twice the sample rate: its Kaiser window's error beside what pixels read, exp(-pi sqrt(18^2 - 1))
+WIDE_TAPS, WIDE_ERROR = 36, 1e-12
 
 
-def choose(scene: Scene, budget: float, backend: str = "numba") -> Choices:
-    """The cheapest settings whose bounds add up to at most `budget`, a relative error."""
-    found = _settings(scene, budget, backend, 3 * SHARE_PHASE, None)
+def choose(scene: Scene, budget: float, backend: str = "numba", wide: float = 0.0) -> Choices:
+    """The cheapest settings whose bounds add up to at most `budget`, a relative error.
+
+    `wide` : for data that are bright beside what pixels read, as many times as bright at their records' ends.
+    """
+    found = _settings(scene, budget, backend, 3 * SHARE_PHASE, None, wide)
     if found is None:  # a longer filter and a higher degree reach every budget that is let in
         raise RuntimeError(f"no settings keep {budget:g}: a fault of pysas, please report it")
     return found
 
 
-def choose_for_leaves(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction) -> Choices | None:
+def choose_for_leaves(
+    scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction, wide: float = 0.0
+) -> Choices | None:
     """The same with tables of `rate` intervals per sample, as C++ wants them for leaves, or None where no filter makes them
     within the budget; `rounding` : share of it for float32 offsets in a block."""
-    return _settings(scene, budget, backend, rounding, rate)
+    return _settings(scene, budget, backend, rounding, rate, wide)
 
 
-def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction | None) -> Choices | None:
+def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction | None, wide: float) -> Choices | None:
     single = scene.dtype == np.complex64 or budget >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
     nodes = native.NODES[precision] if backend == "cpp" else NODES
@@ -66,31 +74,33 @@ def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: 
     if rate is not None:
         errors["drift"] = SHARE_PHASE * budget
     if backend == "numba":
-        return _choose_transform(scene, budget, errors, shared)
-    return _choose_filter(scene, budget, errors, shared, rate)
+        return _choose_transform(scene, budget, errors, shared, wide)
+    return _choose_filter(scene, budget, errors, shared, rate, wide)
 
 
 def _choose_filter(
-    scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None
+    scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None, wide: float
 ) -> Choices | None:
     """C++: coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
 
     W (see pysas.reference.exact) says how a record's end is read, and its long response needs transforms: one forward, one
-    back to twice the sample rate, where |f| <= 1/4 is all there is left for the filter to read.
+    back to twice the sample rate, where |f| <= 1/4 is all there is left for the filter to read. With `wide` whole records
+    go through them and the filter is as long as float64 can use; its polynomials are wrong by what they themselves read.
     """
     heard = scene.heard
-    away = bounds.guard(SHARE_WRAP * budget)
+    away = bounds.guard(SHARE_WRAP * budget / max(wide, 1.0))
     errors = errors | {"record's ends": SHARE_WRAP * budget}
-    ends = heard.any() and (np.min(scene.first[heard]) < away or np.max(scene.last[heard]) > scene.n_sample - 1 - away)
+    ends = bool(wide) or _near_ends(scene, away)
+    least, most = (WIDE_TAPS, WIDE_TAPS) if wide else (native.LEAST_TAPS, LONGEST_FILTER)
     n_fft = margin = taper = 0
     beta, band, double = 0.0, scene.band, 1
+    length = int(np.max(scene.last[heard] - scene.first[heard], initial=0)) + 4
     if ends:
-        length, margin, taper, beta = _crop(scene, budget)
-        n_fft = scipy.fft.next_fast_len(length + max(away, LONGEST_FILTER))
+        if not wide:
+            length, margin, taper, beta = _crop(scene, budget)
+        n_fft = scipy.fft.next_fast_len((scene.n_sample if wide else length) + max(away, LONGEST_FILTER))
         band, double = 0.25, 2
-    else:
-        length = int(np.max(scene.last[heard] - scene.first[heard], initial=0)) + 4
-    left = min(SHARE_INTERPOLATION * budget, budget - sum(errors.values()))
+    left = min((SHARE_WIDE if wide else SHARE_INTERPOLATION) * budget, budget - sum(errors.values()))
     best: tuple[float, native.Filter] | None = None
     rates = native.RATES if fixed is None else ((fixed.numerator, fixed.denominator * double),)
     for degree in native.DEGREES[shared["precision"]]:
@@ -99,7 +109,7 @@ def _choose_filter(
             theta = np.pi * band * step / phases
             if theta ** (degree + 1) / (math.factorial(degree + 1) * 2**degree) > 1.5 * left:
                 continue
-            filter = native.design(band, degree, phases, step, left, LONGEST_FILTER)
+            filter = native.design(band, degree, phases, step, left, most, least)
             if filter.error > left:
                 continue
             term = term_ns(scene, "cpp", shared["precision"], shared["block"], shared["near"], degree, double * filter.rate)
@@ -117,21 +127,31 @@ def _choose_filter(
     return Choices(
         degree=filter.degree, oversampling=rate, n_fft=n_fft, n_fine=double * n_fft, length=length, margin=margin, taper=taper,
         beta=beta, batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=len(filter.first), step=filter.step,
-        taps=filter.taps, **shared,
+        taps=filter.taps, wide=bool(wide), **shared,
     )  # fmt: skip
 
 
-def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any]) -> Choices | None:
-    """Numba: coefficients by transforms."""
-    length, margin, taper, beta = _crop(scene, budget)
-    pad = bounds.guard(SHARE_WRAP * budget) if length == scene.n_sample else 0
-    errors["wrap-round"] = SHARE_WRAP * budget if pad else 0.0
+def _near_ends(scene: Scene, away: int) -> bool:
+    """Whether pixels need samples less than `away` from a record's end: there a low-passed trace holds all |f| < 1/2."""
+    first, last = scene.first[scene.heard], scene.last[scene.heard]
+    return bool(first.size and (np.min(first) < away or np.max(last) > scene.n_sample - 1 - away))
+
+
+def _choose_transform(
+    scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], wide: float
+) -> Choices | None:
+    """Numba: coefficients by transforms, with `wide` of whole records in float64."""
+    length, margin, taper, beta = (scene.n_sample, 0, 0, 0.0) if wide else _crop(scene, budget)
+    away = bounds.guard(SHARE_WRAP * budget / max(wide, 1.0))
+    band = 0.5 if wide or _near_ends(scene, away) else scene.band
+    pad = away if length == scene.n_sample else 0
+    errors["wrap-round"] = SHARE_WRAP * budget
     n_fft = scipy.fft.next_fast_len(length + pad)
-    left = min(SHARE_INTERPOLATION * budget, budget - sum(errors.values()))
+    left = min((SHARE_WIDE if wide else SHARE_INTERPOLATION) * budget, budget - sum(errors.values()))
     precision = shared["precision"]
     best: tuple[float, int, int] | None = None
     for degree in bounds.THETA:
-        rate = max(1.0, np.pi * scene.band / bounds.theta_limit(degree, left))
+        rate = max(1.0, np.pi * band / bounds.theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
         term = term_ns(scene, "numba", precision, shared["block"], shared["near"], degree, n_fine / n_fft)
         cost = scene.traces * (scene.pixels * term + costs.PREPARE_NS * (degree + 1) * n_fine)
@@ -140,11 +160,11 @@ def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], sha
     if best is None:
         return None
     _, degree, n_fine = best
-    errors["interpolation"] = bounds.interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
+    errors["interpolation"] = bounds.interpolation_error(degree, np.pi * band * n_fft / n_fine)
     size = int(length * n_fine / n_fft) * (degree + 1) * (8 if precision == "float32" else 16)
     return Choices(
         degree=degree, oversampling=n_fine / n_fft, n_fft=n_fft, n_fine=n_fine, length=length, margin=margin, taper=taper,
-        beta=beta, batch=max(8, BATCH_BYTES // size // 8 * 8), errors=errors, **shared,
+        beta=beta, batch=max(8, BATCH_BYTES // size // 8 * 8), errors=errors, wide=bool(wide), **shared,
     )  # fmt: skip
 
 

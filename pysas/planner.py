@@ -125,7 +125,9 @@ def plan(
     if scene.uniform:
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": _views_error(scene)})
     chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", "")
-    return Plan(echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why)
+    return Plan(
+        echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why, left
+    )
 
 
 def focus(

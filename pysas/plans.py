@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,9 @@ from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
 
+if TYPE_CHECKING:
+    from pysas import levels
+
 
 @dataclass(frozen=True)
 class Choices:
@@ -33,7 +37,8 @@ class Choices:
     pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
     prepared at a time; errors : bound of each contribution; run : traces summed in float32 before these sums are added in
     float64, or 0; phases, step, taps : of the filter that makes the coefficients (C++; oversampling is phases/step of the
-    samples, or twice that after transforms), or 0 where transforms make them.
+    samples, or twice that after transforms), or 0 where transforms make them; wide : tables are made of whole records in
+    float64, for samples that pixels do not read are bright.
     """
 
     precision: str
@@ -55,6 +60,7 @@ class Choices:
     phases: int = 0
     step: int = 0
     taps: int = 0
+    wide: bool = False
 
     @property
     def predicted_error(self) -> float:
@@ -84,9 +90,13 @@ class Plan:
         method: str = "backprojection",
         forest: Forest | None = None,
         why_direct: str = "",
+        budget: float = 0.0,
     ) -> None:
         from pysas import backprojection
 
+        self.budget = budget  # of tol: what choices were made for
+        self.terms: levels.Terms | None = None  # looked at when data arrive, see levels.py
+        self.others: dict[str, Plan] = {}  # that take this one's place for some data
         self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
         self.grid, self.scene, self.nan = grid, scene, nan
         self.method, self.forest, self.why_direct = method, forest, why_direct

@@ -14,6 +14,7 @@ from pysas.grid import Grid
 
 UNIFORM = "uniform-angle"
 SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
+DRAWN = 4096  # pixels whose terms are looked at when data arrive
 
 
 class Scene:
@@ -71,6 +72,9 @@ class Scene:
         some = np.unique(places.astype(np.int64))[: self.pixels]
         some = some if wanted is None else wanted[some]
         self._pixels = grid.coordinates(some) - self.origin
+        places = (np.arange(DRAWN) + np.random.default_rng(1).random(DRAWN)) * (self.pixels / DRAWN)
+        more = np.unique(places.astype(np.int64))[: self.pixels]
+        self.drawn: FloatArray = grid.coordinates(more if wanted is None else wanted[more]) - self.origin
         self._along = np.zeros(3)
         self._some: tuple[FloatArray, FloatArray, float] | None = None
         self.step = self.uneven = 0.0
@@ -111,6 +115,26 @@ class Scene:
             slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
             self._some = np.sort(np.minimum(*out)[lit]), np.sort(np.abs(slope)[lit]) / 2, float(np.mean(lit))
         return self._some
+
+    def read(
+        self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
+        g = self.geometry[traces].T[..., None]
+        pixel = [pixels[:, k][pick] for k in range(3)]
+        away = [pixel[k] - g[k] for k in range(3)]
+        out = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
+        back = out
+        if self.kind != MONOSTATIC:
+            for _ in range(3 if self.kind == MOVING else 1):
+                late = (out + back) / self.c  # of receivers that have moved: twice again is enough
+                home = [pixel[k] - g[3 + k] - (g[6 + k] * late if self.kind == MOVING else 0.0) for k in range(3)]
+                back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
+        index = ((out + back) / self.c - g[12]) * self.fs
+        lit = (index >= 0) & (index <= self.n_sample - 1)
+        if self.cos_beam > -1:
+            lit &= away[0] * g[9] + away[1] * g[10] + away[2] * g[11] >= self.cos_beam * out
+        return index, lit
 
     def even_line(self) -> bool:
         """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""

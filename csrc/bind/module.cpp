@@ -68,8 +68,8 @@ Tick ticker(const py::object& tick) {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-py::tuple design_filter(double band, int degree, int phases, int step, double error, int most) {
-    const Filter filter = design(band, degree, phases, step, error, 8, most, false);
+py::tuple design_filter(double band, int degree, int phases, int step, double error, int least, int most) {
+    const Filter filter = design(band, degree, phases, step, error, least, most, false);
     py::array_t<double> weight({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
     py::array_t<std::int64_t> first(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
     return py::make_tuple(weight, first, filter.error);
@@ -83,6 +83,26 @@ py::array_t<double> trace_peaks(const py::array& data, int threads, const py::ob
         const auto traces = view<const decltype(kind), 3>(data);
         const py::gil_scoped_release gil;
         peaks(traces, to, threads, check);
+    };
+    if (data.itemsize() == 8)
+        call(std::complex<float>());
+    else
+        call(std::complex<double>());
+    return out;
+}
+
+py::array_t<double> squares_about(const py::array& data, const Array<std::int64_t>& trace,
+                                  const Array<std::int64_t>& place, std::int64_t reach, double scale, int threads,
+                                  const py::object& tick) {
+    if (trace.size() != place.size()) throw py::value_error("a place for each trace number");
+    py::array_t<double> out(trace.size());
+    double* to = out.mutable_data();
+    const Tick check = ticker(tick);
+    const auto call = [&](auto kind) {
+        const auto traces = view<const decltype(kind), 3>(data);
+        const Places places{trace.data(), place.data(), trace.size(), reach};
+        const py::gil_scoped_release gil;
+        mean_squares(traces, places, scale, to, threads, check);
     };
     if (data.itemsize() == 8)
         call(std::complex<float>());
@@ -381,10 +401,12 @@ PYBIND11_MODULE(_core, m) {
     m.def("plane_stride", &plane_stride, "intervals"_a, "degree"_a, "real"_a,
           "Reals from one plane of a table to the next.");
     m.def("intervals", &intervals_of, "length"_a, "rate"_a, "Intervals of a table over `length` samples.");
-    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "most"_a,
+    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "least"_a, "most"_a,
           "Filter weights (phase, tap, power), first taps and measured error.");
     m.def("peaks", &trace_peaks, "data"_a, "threads"_a, "tick"_a,
           "Largest real or imaginary part of every trace; not finite where the trace is not.");
+    m.def("mean_squares", &squares_about, "data"_a, "trace"_a, "place"_a, "reach"_a, "scale"_a, "threads"_a, "tick"_a,
+          "Mean squares of samples about places.");
     m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "weight"_a, "first"_a,
           "step"_a, "length"_a, "table"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the tables of a batch of traces.");
     py::class_<TreeOf>(m, "Tree", "Interpolation and carrier that all steps of a tree share.")

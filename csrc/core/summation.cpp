@@ -194,6 +194,31 @@ void peaks(const View<const Sample, 3>& data, double* out, int threads, const Ti
         tick);
 }
 
+template <typename Sample>
+void mean_squares(const View<const Sample, 3>& data, const Places& places, double scale, double* out, int threads,
+                  const Tick& tick) {
+    const std::int64_t channels = data.shape[1], last = data.shape[2] - 1;
+    const double inverse = std::min(1 / scale, std::numeric_limits<double>::max());  // one over a subnormal is infinite
+    const std::int64_t at_once = std::max<std::int64_t>(1, 16384 / std::min(2 * places.reach + 1, last + 1));
+    run((places.count + at_once - 1) / at_once, threads,
+        [&](std::int64_t task) {
+            for (std::int64_t i = task * at_once; i < std::min(places.count, (task + 1) * at_once); ++i) {
+                const std::int64_t ping = places.trace[i] / channels, channel = places.trace[i] % channels;
+                const Sample* trace = &data(ping, channel, 0);
+                const std::int64_t from = std::max<std::int64_t>(places.place[i] - places.reach, 0);
+                const std::int64_t to = std::min(places.place[i] + places.reach, last);
+                double sum = 0;
+                for (std::int64_t n = from; n <= to; ++n) {
+                    const Sample s = trace[n * data.stride[2]];
+                    const double a = s.real() * inverse, b = s.imag() * inverse;
+                    sum += a * a + b * b;
+                }
+                out[i] = sum / static_cast<double>(2 * places.reach + 1);
+            }
+        },
+        tick);
+}
+
 using Single = std::complex<float>;
 using Double = std::complex<double>;
 
@@ -205,5 +230,7 @@ template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, con
 template std::int64_t add(const Kernels&, const Terms<double>&, const Frame&, const View<Double, 2>&, int, const Tick&);
 template void peaks(const View<const Single, 3>&, double*, int, const Tick&);
 template void peaks(const View<const Double, 3>&, double*, int, const Tick&);
+template void mean_squares(const View<const Single, 3>&, const Places&, double, double*, int, const Tick&);
+template void mean_squares(const View<const Double, 3>&, const Places&, double, double*, int, const Tick&);
 
 }  // namespace pysas

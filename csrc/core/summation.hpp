@@ -88,4 +88,15 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
 template <typename Sample>
 void peaks(const View<const Sample, 3>& data, double* out, int threads, const Tick& tick);
 
+// Places in traces: (count) flat ping-channel and sample numbers, and samples to each side of them.
+struct Places {
+    const std::int64_t *trace, *place;
+    std::int64_t count, reach;
+};
+
+// Mean square of the 2 reach + 1 samples about each place, (count), in units of scale^2; zero beyond the record.
+template <typename Sample>
+void mean_squares(const View<const Sample, 3>& data, const Places& places, double scale, double* out, int threads,
+                  const Tick& tick);
+
 }  // namespace pysas

@@ -11,7 +11,9 @@
  * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off boresight is at most the half-angle; rounding
  * does not decide: 1e-4 samples beyond a record's end (the trace is read at the end) and 1e-7 rad beyond the half-angle
  * still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where level^2 is the sum
- * of the terms' squares.
+ * of the terms' squares. Not where samples that no pixel reads are far brighter than those that pixels do (from 30 dB
+ * on), within 200 samples of them or at the record's first or last sample: an echo just outside the grid, a transmit
+ * pulse cut by the record's start. There the error is tol times as much as these are brighter.
  */
 #ifndef PYSAS_H
 #define PYSAS_H

@@ -22,12 +22,23 @@ def intervals(length: int, rate: float) -> int:
     """Intervals of a table over `length` samples."""
 
 def design(
-    band: float, degree: int, phases: int, step: int, error: float, most: int
+    band: float, degree: int, phases: int, step: int, error: float, least: int, most: int
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
     """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
 
 def peaks(data: npt.NDArray[Any], threads: int, tick: Callable[[float], object] | None) -> npt.NDArray[np.float64]:
     """Largest real or imaginary part of every trace of (ping, channel, sample); not finite where the trace is not."""
+
+def mean_squares(
+    data: npt.NDArray[Any],
+    trace: npt.NDArray[np.int64],
+    place: npt.NDArray[np.int64],
+    reach: int,
+    scale: float,
+    threads: int,
+    tick: Callable[[float], object] | None,
+) -> npt.NDArray[np.float64]:
+    """Mean square of the 2 reach + 1 samples about each place (flat trace, sample), in units of scale^2; 0 off the record."""
 
 def prepare(
     data: npt.NDArray[Any],

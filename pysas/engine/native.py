@@ -35,6 +35,7 @@ NODES = {"float32": 5, "float64": 7}
 RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
 
 
+LEAST_TAPS = 8
 MOST_STEP = 24  # samples that a filter may step by, see kernels.hpp
 
 
@@ -95,9 +96,12 @@ class Filter:
 
 
 @functools.lru_cache(maxsize=256)
-def design(band: float, degree: int, phases: int, step: int, error: float, most: int) -> Filter:
-    """A filter that reads components |f| <= band (units of fs) with at most `error`; look at its own `error`."""
-    weight, first, reached = core().design(band, degree, phases, step, error, most)
+def design(band: float, degree: int, phases: int, step: int, error: float, most: int, least: int = LEAST_TAPS) -> Filter:
+    """A filter of `least` to `most` taps that reads components |f| <= band (units of fs) with at most `error`.
+
+    Look at its own `error`.
+    """
+    weight, first, reached = core().design(band, degree, phases, step, error, least, most)
     return Filter(weight, first, step, reached)
 
 
@@ -105,12 +109,13 @@ def design(band: float, degree: int, phases: int, step: int, error: float, most:
 class Reader:
     """How traces become tables: `filter`, of samples or, where `cut` says how they are kept, of low-passed traces.
 
-    length : samples kept.
+    length : samples kept; wide : low-pass whole records in float64 and keep `length` samples of that.
     """
 
     filter: Filter
     length: int
     cut: Cut | None = None
+    wide: bool = False
 
     @property
     def samples(self) -> int:
@@ -151,6 +156,15 @@ def peaks(data: ComplexArray, threads: int) -> FloatArray:
     if not _plain(data):
         return summation.peaks(data, threads)
     return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], threads, None))
+
+
+def mean_squares(
+    data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float, threads: int
+) -> FloatArray:
+    """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2."""
+    if not _plain(data):
+        return summation.mean_squares(data, trace, place, reach, scale, threads)
+    return np.asarray(core().mean_squares(data, trace, place, reach, scale, threads, None))
 
 
 def _plain(data: ComplexArray) -> bool:
@@ -272,16 +286,18 @@ def _low_passed(
 ) -> None:
     """Tables of traces low-passed by W, at twice the sample rate, in groups of traces that stay in the cache."""
     assert reader.cut is not None
-    cut, n_fft = reader.cut, reader.cut.n_fft
+    n_fft, wide = reader.cut.n_fft, reader.wide
+    cut = Cut(traces.shape[2], n_fft, None) if wide else reader.cut
     at_once = rows_per_task(2 * n_fft)
-    kind = np.complex64 if table.dtype == np.float32 else np.complex128
-    pass_band = (2 * low_pass(scipy.fft.fftfreq(n_fft))).astype(table.dtype)
+    kind = np.complex128 if wide or table.dtype == np.float64 else np.complex64
+    pass_band: FloatArray = (2 * low_pass(scipy.fft.fftfreq(n_fft))).astype(np.float64 if kind is np.complex128 else np.float32)
     lead = reader.filter.taps  # the filter reaches before the first sample kept
     half = (n_fft + 1) // 2
 
     def prepare(task: int) -> None:
         rows = slice(task * at_once, (task + 1) * at_once)
-        kept = segments(traces, part[rows], start[rows], weights[rows], scale, cut, kind)
+        begin = np.zeros_like(start[rows]) if wide else start[rows]
+        kept = segments(traces, part[rows], begin, weights[rows], scale, cut, kind)
         padded = np.zeros((len(kept), n_fft), dtype=kind)
         padded[:, lead : lead + cut.length] = kept
         spectrum = scipy.fft.fft(padded, axis=-1, workers=1, overwrite_x=True)
@@ -291,9 +307,14 @@ def _low_passed(
         fine[:, 0, half - n_fft :] = spectrum[:, half:]
         fine = scipy.fft.ifft(fine, axis=-1, workers=1, overwrite_x=True)
         order = np.arange(len(kept))
+        to = empty_table(reader, len(kept), np.float64) if wide and table.dtype == np.float32 else table[rows]
         core().prepare(
-            fine, order, np.full(len(kept), 2 * lead), None, 1.0, reader.filter.weight, reader.filter.first, reader.filter.step,
-            2 * cut.length - 1, table[rows], 1, isa, None,
+            fine, order, 2 * (lead + start[rows] - begin), None, 1.0, reader.filter.weight, reader.filter.first,
+            reader.filter.step, reader.samples, to, 1, isa, None,
         )  # fmt: skip
+        if to.dtype != table.dtype:  # rounded where it is read, not where it is bright
+            stride = min(to.shape[-1], table.shape[-1])
+            table[rows, :, :stride] = to[..., :stride]
+            table[rows, :, stride:] = 0
 
     pool.run(prepare, -(-part.size // at_once), threads)

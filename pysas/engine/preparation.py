@@ -96,7 +96,7 @@ def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[An
     spectrum = scipy.fft.fft(segments, plan.n_fft, axis=-1, workers=1)
     half = (plan.n_fft + 1) // 2
     tail = plan.n_fft - half
-    fine = np.zeros((segments.shape[0], plan.n_fine), dtype=out.dtype)
+    fine = np.zeros((segments.shape[0], plan.n_fine), dtype=plan.transfer.dtype)
     for q in range(plan.degree + 1):
         fine[:, :half] = spectrum[:, :half] * plan.transfer[q, :half]
         fine[:, half:] = 0

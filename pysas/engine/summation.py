@@ -90,6 +90,26 @@ def peaks(data: ComplexArray, threads: int) -> FloatArray:
     return found
 
 
+def mean_squares(
+    data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float, threads: int
+) -> FloatArray:
+    """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off records."""
+    _, channels, n_sample = data.shape
+    out = np.zeros(trace.size)
+    size = max(1, 2**18 // min(2 * reach + 1, n_sample))
+
+    def measure(task: int) -> None:
+        some = slice(task * size, (task + 1) * size)
+        low, high = np.maximum(place[some] - reach, 0), np.minimum(place[some] + reach, n_sample - 1)
+        at = low[:, None] + np.arange(max(0, int(np.max(high - low, initial=-1)) + 1))
+        ping, channel = np.divmod(trace[some, None], channels)
+        near = data[ping, channel, np.minimum(at, n_sample - 1)].astype(np.complex128) / scale
+        out[some] = np.sum(near.real**2 + near.imag**2, axis=1, where=at <= high[:, None]) / (2 * reach + 1)
+
+    pool.run(measure, -(-trace.size // size), threads)
+    return out
+
+
 def chebyshev() -> tuple[FloatArray, FloatArray]:
     """Nodes of the delay polynomials in [-1, 1], and the matrix from values there to coefficients of powers."""
     nodes = np.cos(np.pi * (2 * np.arange(_numba.NODES)[::-1] + 1) / (2 * _numba.NODES))
@@ -122,7 +142,7 @@ def prepare(
             table[rows[~kept[rows]]] = 0
             rows = rows[kept[rows]]  # the others may hold anything
         if rows.size:
-            cut = segments(traces, part[rows], start[rows], weights[rows], scale, reader, table.dtype)
+            cut = segments(traces, part[rows], start[rows], weights[rows], scale, reader, reader.transfer.dtype)
             whole = rows.size == rows[-1] + 1 - rows[0]
             out = table[rows[0] : rows[-1] + 1] if whole else np.empty((rows.size, *table.shape[1:]), table.dtype)
             coefficients(cut, reader, out)

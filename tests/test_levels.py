@@ -1,0 +1,180 @@
+"""The promise of tol beside bright samples that pixels do not read: echoes just outside the grid, blasts cut by records' ends.
+
+Expected: `pysas.reference.exact`, the float64 oracle. An image keeps tol, or its report says how much more, and warns.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+from scenes import noise, straight
+
+import pysas
+from pysas import planner
+from pysas.engine import native
+
+BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
+C, FS, FC, N = 1500.0, 40e3, 100e3, 700
+
+
+def pulse(n, place, over):
+    """Samples of a Gaussian pulse whose spectrum is below 1e-9 beyond the band of data sampled `over` x their bandwidth."""
+    return np.exp(-(((n - place) / (1.5 * 2.0 * over / 1.33)) ** 2))
+
+
+def scene(seed):
+    """A dark image in a record that is bright where no pixel reads it: what it is called, echoes, grid."""
+    rng = np.random.default_rng(seed)
+    kind = ("before", "behind", "start", "end", "inside")[seed % 5]
+    over, level = rng.choice([1.33, 1.33, 1.6, 2.5]), 10 ** (rng.uniform(0, 100) / 20)
+    pings, first, count = 40, int(rng.integers(60, 450)), int(rng.integers(10, 60))
+    tx = np.zeros((pings, 3))
+    tx[:, 0] = (np.arange(pings) - pings / 2) * 0.02
+    t0 = rng.choice([0.0, 0.02, 0.05])
+    n = np.arange(N)
+    data = noise(pings, 1, N, 1 / over, seed)[:, 0]
+    if kind in ("before", "behind"):
+        away = rng.uniform(1.5, 40)
+        place = first - away if kind == "before" else first + count - 1 + away
+        point = np.array([rng.uniform(-0.2, 0.2), (t0 + place / FS) * C / 2, 0.0])
+        tau = 2 * np.linalg.norm(point - tx, axis=1)[:, None] / C
+        data = data + level * pulse(n, (tau - t0) * FS, over) * np.exp(-2j * np.pi * FC * tau)
+    else:  # what all pings have at one time: a transmit pulse, an interference
+        place = {"start": rng.uniform(-3, 3), "end": N - 1 + rng.uniform(-3, 3), "inside": rng.uniform(8, first - 20)}[kind]
+        data = data + level * pulse(n, place, over)
+    if kind == "end":
+        first = N - first - count
+    y = (t0 + (first + np.arange(count)) / FS) * C / 2
+    echoes = pysas.Echoes(data, fs=FS, fc=FC, tx=tx, rx=tx, c=C, t0=t0, bandwidth=FS / over)
+    return f"{kind}, {20 * np.log10(level):.0f} dB", echoes, pysas.Grid.plane((np.arange(24) - 12) * 0.012, y)
+
+
+def kept(plan, data, exact, level, case):
+    """Image; the promise of its plan's tol, or more where the report says so and a warning."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        image = plan(data)
+    error, report = pysas.metrics.relative_error(image.data, exact, level), image.report
+    case = (*case, plan.tol, error, report.predicted_error, report.notes)
+    if report.predicted_error <= plan.tol * (1 + 1e-9):
+        assert error <= plan.tol and not caught, case
+    else:
+        assert error <= report.predicted_error and len(caught) == 1, case
+    return report
+
+
+@pytest.mark.parametrize("seed", [*range(10), 1007, 1008, 1025])
+def test_sums_beside_bright_samples_keep_tol_or_say_that_they_do_not(seed):
+    name, echoes, grid = scene(seed)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    exact, level = pysas.reference.exact(single, grid)
+    for tol in 10.0 ** -np.random.default_rng(seed).uniform(1, 5, 3):
+        for backend in BACKENDS:
+            kept(pysas.plan(single, grid, tol, "backprojection", backend=backend), single.data, exact, level, (name, backend))
+
+
+@pytest.mark.parametrize("seed", [1003, 1006, 1007, 1011, 1012, 1022, 1027])
+def test_trees_beside_bright_samples_keep_tol_or_are_left(seed):
+    """Sub-images have nodes around the image, that hold bright echoes beside it, and none for frequencies beyond the band."""
+    name, echoes, grid = scene(seed)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    exact, level = pysas.reference.exact(single, grid)
+    used = 0
+    for backend in BACKENDS:
+        plan = pysas.plan(single, grid, 6e-3, "ffbp", backend=backend, fallback=False)
+        assert plan.forest is not None
+        used += kept(plan, single.data, exact, level, (name, backend)).factorised_share > 0
+        # left for these data only
+        plain = noise(40, 1, N, single.bandwidth / FS, seed, np.complex64)[:, 0]
+        report = plan(plain).report
+        assert report.factorised_share == 1 and not report.choices["wide"]
+    assert used in (0, len(BACKENDS))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("tol", [1e-6, 1e-9])
+@pytest.mark.parametrize("seed", [100, 101, 102, 104])
+def test_double_precision_keeps_tol_beside_bright_samples(seed, tol, backend):
+    name, echoes, grid = scene(seed)
+    exact, level = pysas.reference.exact(echoes, grid)
+    image = pysas.backproject(echoes, grid, tol, backend=backend)
+    assert pysas.metrics.relative_error(image.data, exact, level) <= tol, name
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_float64_cannot_tell_apart_is_said(backend):
+    """A transmit pulse 1e18 times as bright as the sea: float64 has 1e-16 of it."""
+    echoes, grid = straight(32), pysas.Grid.plane(np.arange(-12, 12) * 0.02, 19.0 + np.arange(24) * 0.02)
+    data = echoes.data.copy()
+    data[..., :9] += 1e18
+    with pytest.warns(UserWarning, match=r"tol=0.001 is not promised, error .* predicted"):
+        image = pysas.backproject(echoes.replace(data=data), grid, 1e-3, backend=backend)
+    assert image.report.predicted_error > 1e-3 and any("not promised" in note for note in image.report.notes)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("method", ["backprojection", "ffbp"])
+def test_plain_data_are_imaged_as_planned(backend, method):
+    """Noise, and a point 80 dB above it inside the image: pixels read what is bright, and nothing else is needed."""
+    echoes, grid = straight(64), pysas.Grid.plane(np.arange(-40, 41) * 0.02, 19.0 + np.arange(60) * 0.02)
+    point = np.array([0.1, 19.6, 0.0])
+    tau = 2 * np.linalg.norm(point - echoes.tx, axis=1)[:, None] / C
+    n = np.arange(echoes.n_sample)
+    shape = pulse(n, (tau - echoes.start_time[:, None]) * echoes.fs, 1.33) * np.exp(-2j * np.pi * FC * tau)
+    for data in (echoes.data, 1e-4 * echoes.data + shape[:, None]):
+        for tol in (1e-2, 1e-3, 1e-4):
+            plan = pysas.plan(echoes, grid, tol, method, backend=backend)
+            report = plan(data).report
+            assert not report.choices["wide"] and report.predicted_error == plan.choices.predicted_error
+            assert report.choices == plan.reported
+
+
+@pytest.mark.skipif(native.extension() is None, reason="needs the C++ extension")
+def test_trees_over_whole_records_of_plain_data_stay(monkeypatch):
+    """Record ends ring in every image that reaches them; only ends brighter than the image are a reason to leave trees."""
+    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: 1e9)
+    echoes = straight(128, bandwidth=30e3)
+    step = C / echoes.fs / 2
+    grid = pysas.Grid.plane((np.arange(64) - 32) * 0.02, 19.0 + np.arange(820) * step)
+    for tol in (1e-3, 1e-4):
+        plan = pysas.plan(echoes, grid, tol, "ffbp", backend="cpp")
+        assert plan.forest is not None
+        assert plan(echoes.data).report.factorised_share == plan.forest.share > 0.5
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("over", [1.33, 5.5, 20])
+def test_hard_ends_of_oversampled_records(backend, over):
+    """A low-passed record's end holds all frequencies up to fs/2, however narrow the band of its data is."""
+    bandwidth, samples = 30e3, 200
+    tx = np.zeros((16, 3))
+    tx[:, 0] = (np.arange(16) - 8) * 0.02
+    data = noise(16, 1, samples, 1 / over, 0)[:, 0]
+    echoes = pysas.Echoes(data, fs=over * bandwidth, fc=FC, tx=tx, rx=tx, c=C, t0=0.04, bandwidth=bandwidth)
+    far = C / 2 * (0.04 + samples / echoes.fs)
+    grid = pysas.Grid.plane(np.arange(-16, 16) * 0.01, np.linspace(30, far, 40) + 3.3e-4)
+    exact, level = pysas.reference.exact(echoes, grid)
+    for tol in (1e-2, 1e-3, 1e-4, 1e-6, 1e-9):
+        image = pysas.backproject(echoes, grid, tol, backend=backend)
+        assert pysas.metrics.relative_error(image.data, exact, level) <= tol, tol
+
+
+@pytest.mark.skipif(native.extension() is None, reason="needs the C++ extension")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_filter_keeps_its_error_at_every_frequency_of_its_band(seed):
+    """Tones on a fine raster of frequencies, the band's edges among them, and places: `error` is the worst there is."""
+    rng = np.random.default_rng(seed)
+    over = 1.1 + 18.9 * rng.random() ** 2
+    band, error = 0.5 / over, 10.0 ** -rng.uniform(1, 5)
+    degree, (phases, step) = int(rng.choice([2, 3, 5])), native.RATES[rng.integers(4, 9)]
+    filter = native.design(band, degree, phases, step, error, 400)
+    f = np.linspace(-band, band, 1201)
+    t = np.linspace(-0.5, 0.5, 41)
+    worst = 0.0
+    for phase in range(phases):
+        tap = filter.first[phase] + np.arange(filter.taps)
+        response = np.exp(2j * np.pi * f[:, None] * tap) @ filter.weight[phase]
+        place = ((phase + 0.5) + t) * step / phases
+        read = response @ np.vander(t, degree + 1, increasing=True).T
+        worst = max(worst, float(np.max(np.abs(read - np.exp(2j * np.pi * f[:, None] * place)))))
+    assert worst <= 1.02 * filter.error
