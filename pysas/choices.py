@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from pysas import bounds, costs
+from pysas import _checks, bounds, costs
 from pysas.costs import term_ns
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native
 from pysas.plans import Choices
@@ -93,7 +93,8 @@ def _choose_filter(
             if best is None or cost < best[0]:
                 best = (cost, filter)
             break
-    assert best is not None  # a longer filter and a higher degree reach every budget that is let in
+    if best is None:  # a longer filter and a higher degree reach every budget that is let in
+        raise _checks.InternalError(f"no filter within {left:.2g}")
     filter = best[1]
     errors["interpolation"] = filter.error
     rate = double * filter.rate
@@ -121,7 +122,8 @@ def _choose_transform(scene: Scene, budget: float, errors: dict[str, float], sha
         cost = scene.traces * (scene.pixels * term + costs.PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
-    assert best is not None
+    if best is None:
+        raise _checks.InternalError(f"no interpolation within {left:.2g}")
     _, degree, n_fine = best
     errors["interpolation"] = bounds.interpolation_error(degree, np.pi * scene.band * n_fft / n_fine)
     size = int(length * n_fine / n_fft) * (degree + 1) * (8 if precision == "float32" else 16)

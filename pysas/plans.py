@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pysas import _checks
 from pysas._checks import ComplexArray
 from pysas.costs import prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
@@ -91,8 +92,9 @@ class Plan:
         self.frame = backprojection.Frame(grid, scene, choices.block) if forest is None else forest.frame
         self.reported = dataclasses.asdict(choices)
         self.reader = backprojection.reader_of(choices, scene.band)
-        if not scene.heard.any():
-            warnings.warn(scene.why_silent(), stacklevel=4)
+        self.silent = scene.why_empty()
+        if self.silent:
+            warnings.warn(self.silent, stacklevel=4)
 
     def __call__(
         self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None
@@ -114,7 +116,13 @@ class Plan:
         Raises
         ------
         ValueError, TypeError
-            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise".
+            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise"; an `out` that overlaps the
+            data or itself; an image beyond its dtype's range.
+
+        Warns
+        -----
+        UserWarning
+            No term is summed, and why; an image so small that its dtype does not hold it within tol.
 
         Notes
         -----
@@ -225,6 +233,7 @@ class Plan:
             work += scene.lattice.value.nbytes
         return int(self.grid.size * self.dtype.itemsize + work)
 
+    @_checks.usual_errors
     def explain(self) -> str:
         """What the scene has, what was left out and the share of work saved, where the error goes, and the alternatives.
 
