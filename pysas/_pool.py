@@ -91,7 +91,7 @@ class _Run:
                 self.start(threads)
             finally:
                 self.leave()
-            while not self.idle.wait(_POLL):
+            while not self.idle.wait(_POLL) and (self.working() or not self.stop.is_set()):
                 if _out.stopping and not self.main:
                     raise SystemExit
                 if tick is not None:
@@ -117,7 +117,7 @@ class _Out:
 
     def __init__(self) -> None:
         self.lock, self.number, self.stopping = threading.Lock(), 0, False
-        self.compiling: set[threading.Thread] = set()
+        self.compiling: set[threading.Event] = set()  # each set when it has ended
 
     def __enter__(self) -> None:
         with self.lock:
@@ -132,9 +132,8 @@ class _Out:
 
     def settle(self) -> None:
         """Before a fork: a compiler's lock would stay locked in the child."""
-        for thread in list(self.compiling):
-            if thread is not threading.current_thread():
-                thread.join()
+        for done in list(self.compiling):
+            done.wait()
 
 
 _out = _Out()
@@ -181,19 +180,26 @@ def call(kernel: Any, *args: Any) -> Any:
 
 def _compile_in(this: _Run, kernel: Any, types: tuple[Any, ...]) -> None:
     """Compile in a worker: a run that is given up meanwhile does not wait for it, and none of its tasks goes on."""
-    thread = threading.current_thread()
-    _out.compiling.add(thread)
     with this.lock:
         this.compiling += 1
     try:
-        kernel.compile(types)
+        _compile(kernel, types, threading.Event())
     finally:
-        _out.compiling.discard(thread)
         with this.lock:  # whoever gives up sets `stop` and then looks who works
             this.compiling -= 1
             given_up = this.stop.is_set()
     if given_up:
         raise _Stopped
+
+
+def _compile(kernel: Any, types: tuple[Any, ...], done: threading.Event) -> None:
+    """Compile where a fork waits for it."""
+    _out.compiling.add(done)
+    try:
+        kernel.compile(types)
+    finally:
+        _out.compiling.discard(done)
+        done.set()
 
 
 def _compile_aside(kernel: Any, types: tuple[Any, ...]) -> None:
@@ -203,19 +209,15 @@ def _compile_aside(kernel: Any, types: tuple[Any, ...]) -> None:
     def work() -> None:
         with _out:
             try:
-                kernel.compile(types)
+                _compile(kernel, types, threading.Event())
             except BaseException as error:
                 failure.append(error)
             finally:
-                _out.compiling.discard(threading.current_thread())
                 done.set()
 
-    thread = threading.Thread(target=work, name="pysas-compile", daemon=True)
-    _out.compiling.add(thread)
     try:
-        thread.start()
+        threading.Thread(target=work, name="pysas-compile", daemon=True).start()
     except RuntimeError:  # no threads to be had
-        _out.compiling.discard(thread)
         kernel.compile(types)
         return
     while not done.wait(_POLL):
