@@ -4,7 +4,8 @@
  * Every function returns 0 or one of the codes below; none throws, exits or prints. Structs begin with their size, so
  * that a library newer than its caller knows which fields the caller has: set struct_size = sizeof(the struct) and zero
  * the rest. Lengths are in metres, times in seconds, frequencies in hertz. Strides count elements, not bytes. Arrays
- * without strides are C-contiguous. A plan may be executed from several threads at a time.
+ * without strides are C-contiguous. Numbers of structs are finite and at most 1e15. A plan may be executed from several
+ * threads at a time.
  *
  * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
