@@ -38,6 +38,17 @@ def test_data_of_any_scale_make_the_same_image(dtype, scale, method, backend):
     assert np.linalg.norm(found - expected) <= 1e-6 * np.linalg.norm(expected)
 
 
+@pytest.mark.parametrize("power", [-1060, -500, 500, 1010])
+def test_the_oracle_follows_its_data(power):
+    """Their squares, of which its level is made, are no numbers."""
+    pixels = np.arange(0, GRID.size, 50)
+    data = np.ldexp(ECHOES.data.view(float), power).view(complex)
+    expected = pysas.reference.exact(ECHOES, GRID, pixels)
+    for found, wanted in zip(pysas.reference.exact(ECHOES.replace(data=data), GRID, pixels), expected, strict=True):
+        found = np.ldexp(found.view(float), -power).view(found.dtype)
+        assert np.linalg.norm(found - wanted) <= 2.0 ** (-45 if power > -1000 else -8) * np.linalg.norm(wanted)
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("tol", [1e-3, 1e-7])
 def test_subnormal_samples_count_as_what_they_are(tol, backend):
