@@ -7,6 +7,7 @@ planner.py and choices.py, arithmetic in engine/.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, bounds, engine, factorised, levels, planner, plans, view_angles
+from pysas import _checks, amplitudes, bounds, engine, factorised, levels, planner, plans, view_angles
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
@@ -57,7 +58,7 @@ def backproject(
     nan : {"raise", "mask"}
         Traces that hold non-finite samples: an error, or left out of the sum.
     out : complex array of grid.shape, optional
-        Filled in place and returned as the image's data; of the data's dtype.
+        Filled in place and returned as the image's data; of the data's dtype, in memory of its own.
     progress : callable, optional
         Called now and then from the calling thread with the share done, 0 to 1.
 
@@ -69,16 +70,22 @@ def backproject(
     Raises
     ------
     ValueError
-        Raw or under-sampled echoes, a `tol` that cannot be met, non-finite samples, wrong shapes.
+        Raw or under-sampled echoes, a `tol` that cannot be met, non-finite samples, wrong shapes, an `out` that overlaps the
+        data or itself, an image beyond its dtype's range.
     TypeError
-        Wrong types or dtypes.
+        Wrong types or dtypes; masked entries of a masked array.
+
+    Warns
+    -----
+    UserWarning
+        No term is summed, and why (recorded window, beam, mask, weights, non-finite samples): the image is zero. An image so
+        small that its dtype does not hold it within tol.
 
     Notes
     -----
     O(pings channels pixels) after O(pings channels samples log samples); memory beyond input and image about 25 MB.
-    A grid wholly outside the recorded window warns and returns zeros.
     """
-    check_out_of(out, echoes, grid)
+    check_out_of(out, echoes, grid, progress)
     plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
     return plan(echoes.data, out, progress)
 
@@ -130,56 +137,46 @@ def backproject_arrays(
     return backproject(echoes, Grid.points(pixels), tol, threads, backend, weights, out=out).data
 
 
-def check_out_of(out: ComplexArray | None, echoes: Any, grid: Any) -> None:
-    """Check `out` before any work, where what it must fit is what it should be."""
+def check_out_of(out: ComplexArray | None, echoes: Any, grid: Any, progress: Any = None) -> None:
+    """Check `out` and `progress` before any work, where what `out` must fit is what it should be."""
+    _checks.callback("progress", progress)
     if isinstance(echoes, Echoes) and isinstance(grid, Grid):
-        _check_out(out, grid, echoes.dtype)
+        _checks.target(out, grid.shape, echoes.dtype)
+        _checks.apart(out, echoes.data)
 
 
-def _check_out(out: ComplexArray | None, grid: Grid, dtype: np.dtype[np.complexfloating]) -> None:
-    if out is None:
-        return
-    if not isinstance(out, np.ndarray) or out.dtype != dtype:
-        found = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
-        raise TypeError(f"out: expected an array of {dtype}, found {found}")
-    if out.shape != grid.shape:
-        raise ValueError(f"out: expected the grid's shape {grid.shape}, found {out.shape}")
-    if not out.flags.writeable:
-        raise ValueError("out: expected a writeable array, found a read-only one")
-
-
+@_checks.usual_errors
 def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None) -> Image:
     """Carry out `plan` on `data`; what `Plan.__call__` does."""
-    scene, grid, asked = plan.scene, plan.grid, plan
-    samples = _checks.samples("data", data, (2, 3))
+    scene, choices, grid, asked = plan.scene, plan.choices, plan.grid, plan
+    samples = _checks.samples("data", data, (2, 3)).view()  # whose shape nobody else can set
     if samples.shape != plan.data_shape:
         raise ValueError(f"data: expected the planned shape {plan.data_shape}, found {samples.shape}")
     if samples.dtype.itemsize != plan.dtype.itemsize:
         raise TypeError(f"data: expected {plan.dtype}, found {samples.dtype}")
-    _check_out(out, grid, plan.dtype)
-    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else out
-    image[...] = 0
-    notes = [] if scene.heard.any() else [scene.why_silent()]
+    _checks.callback("progress", progress)
+    _checks.target(out, grid.shape, plan.dtype)
+    _checks.apart(out, samples)
+    notes = []
     if plan.why_direct:
         notes.append(f"summed directly: {plan.why_direct}")
 
     cpp = plan.backend == "cpp"
-    peaks = (native.peaks if cpp else summation.peaks)(samples, plan.threads)
+    start = _starts(plan)
+    begin, end = (np.clip(at, 0, scene.n_sample) for at in (start - choices.taps, start + choices.length + choices.taps))
+    peaks = (native.peaks if cpp else summation.peaks)(samples, begin, end, plan.threads).reshape(-1)
     finite = np.isfinite(peaks)
-    used = scene.heard
     if not finite.all():
-        bad = np.argwhere(~finite)
+        bad = np.flatnonzero(~finite)
         if plan.nan == "raise":
-            ping, channel = bad[0]
+            ping, channel = divmod(int(bad[0]), scene.channels)
             raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
-        used = used & finite.reshape(-1)
         notes.append(f"{len(bad)} of {scene.traces} traces left out: non-finite samples")
-    peak = float(np.max(peaks, where=finite, initial=0.0))
-    scale = float(2.0 ** np.frexp(peak)[1]) if peak > 0 else 1.0
-    used = used & (scene.weights != 0)
-    largest = float(np.max(np.abs(scene.weights[used]), initial=0.0))
-    if largest > 0:
-        scale *= float(2.0 ** np.frexp(largest)[1])
+    used = scene.heard & finite & (scene.weights != 0)
+    exponents = amplitudes.largest(scene.weights[used], peaks[used])
+    scale = amplitudes.scale_of(exponents)
+    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
+    image[...] = 0
     order = np.flatnonzero(used)
     plan = levels.fit(plan, samples, used, scale)
     choices = plan.choices
@@ -215,13 +212,25 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
             totals = (
                 _add_each(plan, order, survey, target, add, progress) if scene.each else add(frame, survey, target, progress)
             )
-        target *= scale
+        target = target.astype(plan.dtype, copy=False)
+        if real == np.float32 and amplitudes.wide(exponents):
+            if max(np.abs(target.real).max(), np.abs(target.imag).max()) < amplitudes.LOST:
+                worst = divmod(int(order[np.argmax(exponents)]), scene.channels)
+                notes.append(f"the image is lost beside ping {worst[0]}, channel {worst[1]}: leave it out by weight 0")
+                warnings.warn(notes[-1], stacklevel=5)
+        if small := amplitudes.restore(target, scale, order.size, plan.tol):
+            notes.append(small)
+            warnings.warn(small, stacklevel=5)
         if flat is None:
             image[...] = target.reshape(grid.shape)
         if grid.mask is not None:
             image[~grid.mask] = 0
     if progress is not None:
         progress(1.0)
+    if totals.terms == 0:
+        notes.append(scene.why_empty(finite) or scene.why_dark())
+        if not plan.silent:  # or the plan has warned
+            warnings.warn(notes[-1], stacklevel=5)
     everything = scene.traces * grid.size
     report = Report(
         method=plan.method, tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
@@ -275,13 +284,19 @@ def _as_lines(image: ComplexArray, shape: tuple[int, int]) -> ComplexArray | Non
     return image if image.shape == shape and all(step % image.itemsize == 0 for step in image.strides) else None
 
 
+def _starts(plan: plans.Plan) -> npt.NDArray[np.int64]:
+    """First sample that tables are made of, of every trace; it may lie before the record."""
+    scene, choices = plan.scene, plan.choices
+    if choices.taper or (choices.taps and (choices.wide or not choices.n_fft)):
+        return np.asarray(scene.first - 1 - choices.margin)
+    return np.zeros(scene.traces, dtype=np.int64)
+
+
 def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     """The geometry of traces `order` as the kernels take it."""
     scene, choices = plan.scene, plan.choices
     geometry = scene.geometry[order]
-    start = np.zeros(order.size, dtype=np.int64)
-    if choices.taper or (choices.taps and (choices.wide or not choices.n_fft)):
-        start = scene.first[order] - 1 - choices.margin
+    start = _starts(plan)[order]
     geometry[:, 13] = start
     near = choices.near if choices.block else np.inf
     sound = scene.c, scene.fc, scene.fs

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from pysas import bounds, costs
+from pysas import _checks, bounds, costs
 from pysas.costs import term_ns
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native
 from pysas.plans import Choices
@@ -36,7 +36,7 @@ def choose(scene: Scene, budget: float, backend: str = "numba", wide: float = 0.
     """
     found = _settings(scene, budget, backend, 3 * SHARE_PHASE, None, wide)
     if found is None:  # a longer filter and a higher degree reach every budget that is let in
-        raise RuntimeError(f"no settings keep {budget:g}: a fault of pysas, please report it")
+        raise _checks.InternalError(f"no settings within {budget:.2g}")
     return found
 
 

@@ -28,6 +28,7 @@ _WINDOW_POINTS = 8193  # linear interpolation between so many points of a window
 Complex = npt.NDArray[np.complex128]
 
 
+@_checks.usual_errors
 def compress(
     raw: Echoes,
     window: str | tuple[Any, ...] | None = None,
@@ -81,8 +82,7 @@ def compress(
         raise ValueError("raw: pulse=None: expected an LFM or a sampled waveform to compress with")
     if inverse is not None:
         inverse = _checks.number("inverse", inverse, positive=True)
-    if progress is not None and not callable(progress):
-        raise TypeError(f"progress={progress!r}: expected a callable or None")
+    _checks.callback("progress", progress)
     workers = _checks.threads(threads)
     transfer = _transfer(raw, window, inverse).astype(raw.dtype)
     traces = raw.traces
@@ -175,7 +175,7 @@ def _spectral_window(raw: Echoes, window: str | tuple[Any, ...], frequency: Floa
         raise TypeError(f"window={window!r}: {expected}")
     try:
         shape = np.asarray(scipy.signal.get_window(window, _WINDOW_POINTS, fftbins=False), dtype=np.float64)
-    except (ValueError, TypeError, KeyError) as error:
+    except Exception as error:  # SciPy's own, whatever a tuple holds
         raise ValueError(f"window={window!r}: {expected} ({error})") from None
     centre, width = 0.0, raw.occupied_bandwidth
     if isinstance(raw.pulse, LFM):

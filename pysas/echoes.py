@@ -1,7 +1,7 @@
 """Echoes: the recorded samples of every ping and channel with the geometry and sampling they need, and Beam.
 
-This is the border where navigation and sampling are checked; the engines trust it. Samples are kept as given (any
-stride or byte order, never copied) and looked at only when used, so a record may hold non-finite samples.
+This is the border where navigation and sampling are checked; the engines trust it, so navigation is copied. Samples are kept
+as given (any stride or byte order, never copied) and looked at only when used, so a record may hold non-finite samples.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ class Beam:
 
     def __post_init__(self) -> None:
         boresight = _checks.reals("boresight", self.boresight, [(3,), ("ping", 3)], ("ping",))
-        if not np.all(np.linalg.norm(boresight, axis=-1) > 0):
-            raise ValueError(f"boresight={self.boresight!r}: expected non-zero vectors")
+        length = np.hypot(np.hypot(boresight[..., 0], boresight[..., 1]), boresight[..., 2])
+        if not np.all((length > 1e-100) & (length < 1e100)):  # whose squares are numbers
+            raise ValueError(f"boresight={self.boresight!r}: expected non-zero vectors of at most 1e100")
         object.__setattr__(self, "boresight", boresight)
         object.__setattr__(self, "length", _checks.number("length", self.length, positive=True))
         angle = _checks.number("half_angle", self.half_angle, positive=True)
@@ -112,6 +113,7 @@ class Echoes:
     def __post_init__(self) -> None:
         self._validate()
 
+    @_checks.usual_errors
     def _validate(self) -> None:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -152,7 +154,7 @@ class Echoes:
             pulse = _checks.samples("pulse", self.pulse, (1,))
             if not np.all(np.isfinite(pulse)):
                 raise ValueError("pulse: expected finite samples")
-            put("pulse", pulse)
+            put("pulse", _checks.own(pulse, pulse.dtype.newbyteorder("=")))
         if self.bandwidth is not None:
             put("bandwidth", _checks.number("bandwidth", self.bandwidth, positive=True))
         elif isinstance(self.pulse, LFM):
@@ -183,7 +185,8 @@ class Echoes:
     @property
     def occupied_bandwidth(self) -> float:
         """`bandwidth`, always a number, Hz."""
-        assert self.bandwidth is not None
+        if self.bandwidth is None:
+            raise _checks.InternalError("bandwidth: not set")
         return self.bandwidth
 
     @property
@@ -220,6 +223,7 @@ class Echoes:
         """-3 dB width in slant range of an unweighted flat band, 0.886 c/(2 bandwidth), m."""
         return 0.886 * self.c / (2 * self.occupied_bandwidth)
 
+    @_checks.usual_errors
     def phase_centre_spacing(self) -> tuple[float, float]:
         """Median and largest gap (m) between phase centres (tx + rx)/2 along the track, all channels together."""
         centres = (self.tx[:, None, :] + self.receivers) / 2
@@ -264,7 +268,7 @@ class Echoes:
         return found
 
     def replace(self, **changes: Any) -> Echoes:
-        """A copy with some fields replaced, validated again; arrays are shared, not copied."""
+        """A copy with some fields replaced, validated again; samples are shared, not copied."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         fields.update(changes)
         return Echoes(fields.pop("data"), **fields)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas._checks import ComplexArray, FloatArray
+from pysas._checks import ComplexArray, FloatArray, InternalError
 from pysas.engine.steps import Setting, Stack, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
@@ -85,7 +85,7 @@ def accumulate(
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
     forest, choices, threads = plan.forest, plan.choices, plan.threads
     if forest is None:
-        raise RuntimeError("a plan without trees was to be summed through them: a fault of pysas, please report it")
+        raise InternalError("a plan without trees was to be summed through them")
     frame, scene = forest.frame, forest.scene
     traces = samples if samples.ndim == 3 else samples[:, None, :]
     stores: dict[int, Any] = {}

@@ -1,7 +1,7 @@
 """Grid: the points to image - planes, polar sectors, height-mapped surfaces, volumes or any list - with an optional mask.
 
-A grid knows its coordinates and nothing of echoes. Pixels are numbered in C order of `shape`; the last axis is the one
-the engines walk along.
+A grid knows its coordinates, of which it keeps its own copies, and nothing of echoes. Pixels are numbered in C order of
+`shape`; the last axis is the one the engines walk along.
 """
 
 from __future__ import annotations
@@ -95,6 +95,7 @@ class Grid:
                 raise TypeError(f"mask: expected booleans, found dtype {mask.dtype}")
             if mask.shape != shape:
                 raise ValueError(f"mask: expected the grid's shape {shape}, found {mask.shape}")
+            mask = _checks.own(mask, np.bool_)
         return cls(kind, shape, axes, mask, **fields)
 
     @property
@@ -104,7 +105,7 @@ class Grid:
 
     def coordinates(self, pixels: npt.ArrayLike | None = None) -> FloatArray:
         """Coordinates (n, 3), m, of flat pixel indices (default: all, in C order)."""
-        flat = np.arange(self.size) if pixels is None else np.asarray(pixels)
+        flat = np.arange(self.size) if pixels is None else _checks.array_like("pixels", pixels)
         if flat.dtype.kind not in "iu" or flat.ndim != 1:
             raise TypeError(f"pixels: expected a 1-D array of whole numbers, found shape {flat.shape}, dtype {flat.dtype}")
         if flat.size and (int(flat.min()) < 0 or int(flat.max()) >= self.size):

@@ -92,7 +92,7 @@ class Image:
             raise TypeError(f"grid={self.grid!r}: expected a pysas.Grid")
         if not isinstance(self.report, Report):
             raise TypeError(f"report={self.report!r}: expected a Report")
-        data = np.asarray(self.data)
+        data = _checks.array_like("data", self.data)
         if data.dtype.kind != "c":
             raise TypeError(f"data: expected complex pixels, found dtype {data.dtype}")
         if data.shape != self.grid.shape:

@@ -23,6 +23,7 @@ _UNEVEN = 5e-4
 _BATCH_BYTES = 32 * 2**20
 
 
+@_checks.usual_errors
 def from_phase_history(
     samples: npt.ArrayLike, freq: npt.ArrayLike, position: npt.ArrayLike, r0: npt.ArrayLike, c: float
 ) -> Echoes:

@@ -54,6 +54,7 @@ LONGER = "a tree would take longer"
 FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
 
 
+@_checks.usual_errors
 def plan(
     echoes: Echoes,
     grid: Grid,
@@ -96,6 +97,11 @@ def plan(
     ------
     ValueError, TypeError
         Raw echoes, under-sampled data, a `tol` that cannot be met (says what can), a wrong argument.
+
+    Warns
+    -----
+    UserWarning
+        No term can be summed, and why (recorded window, mask, weights): images will be zero.
     """
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
@@ -117,14 +123,19 @@ def plan(
     count = _checks.threads(threads)
     left = tol - _weigh(scene, grid, tol, method != "backprojection", count, name)
     choices = choose(scene, left, name)
-    forest, why = None, ""
+    forest, why, fault = None, "", ""
     if method != "backprojection":
         auto = method == "auto"
-        forest, why = _plant(scene, grid, left, choices, name, fallback or auto, count, auto)
+        try:
+            forest, why = _plant(scene, grid, left, choices, name, fallback or auto, count, auto)
+        except _checks.InternalError as error:  # no fault of the scene: there is always the direct sum
+            if not (fallback or auto):
+                raise
+            why = fault = f"no trees: {error}"
     choices = choices if forest is None else forest.choices
     if scene.uniform:
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": _views_error(scene)})
-    chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", "")
+    chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", fault)
     return Plan(
         echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why, left
     )
@@ -169,7 +180,7 @@ def focus(
     """
     from pysas import backprojection
 
-    backprojection.check_out_of(out, echoes, grid)
+    backprojection.check_out_of(out, echoes, grid, progress)
     return plan(echoes, grid, tol, "auto", threads, backend, weights, nan)(echoes.data, out, progress)
 
 
@@ -181,7 +192,10 @@ def other_engine(plan: Plan) -> str:
         choices = choose(scene, left, plan.backend)
         seconds = _direct_seconds(scene, choices, plan.backend)
         return f"backprojection: {seconds / plan.threads:.2g} s predicted"
-    site, why = _site(scene, plan.grid, left, plan.backend, sum_seconds(scene, plan.choices, plan.backend))
+    try:
+        site, why = _site(scene, plan.grid, left, plan.backend, sum_seconds(scene, plan.choices, plan.backend))
+    except _checks.InternalError as error:
+        site, why = None, f"no trees: {error}"
     if site is not None:
         seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads + site.trees * costs.TREE_SECONDS[
             plan.backend
@@ -192,7 +206,7 @@ def other_engine(plan: Plan) -> str:
 
 def _weigh(scene: Scene, grid: Grid, tol: float, tree: bool, threads: int, backend: str) -> float:
     """Give a scene its weights uniform in view angle, if it asks for them; what error they bring."""
-    if not scene.uniform or not scene.heard.any():
+    if not scene.uniform or scene.why_empty():
         return 0.0
     for node in (_node(scene), 0.0) if tree else (0.0,):  # those of sub-images also lie around the image
         stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
@@ -226,9 +240,10 @@ def _node(scene: Scene) -> float:
 def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
     if tol > 0.1:
         raise ValueError(f"tol={tol:g}: expected at most 0.1")
-    float64 = 1e-14 * scene.farthest * echoes.fc / echoes.c
+    # of the carrier's phase, or of the place in a record whose band is wider than its carrier is high
+    float64 = 1e-14 * scene.farthest * max(echoes.fc, echoes.occupied_bandwidth) / echoes.c
     least = max(1e-5 if echoes.dtype == np.complex64 else 1e-10, float64)
-    if tol < least * (1 - 1e-9):
+    if not tol >= least * (1 - 1e-9):
         hint = f"; complex128 data reach {max(1e-10, float64):.3g}" if least > float64 and least == 1e-5 else ""
         raise ValueError(f"tol={tol:g}: {echoes.dtype} data over {scene.farthest:.4g} m reach {least:.3g} at best{hint}")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from pysas import view_angles
+from pysas import _checks, view_angles
 from pysas._checks import ComplexArray
 from pysas.costs import prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
@@ -104,8 +104,9 @@ class Plan:
         self.frame = backprojection.Frame(grid, scene, choices.block) if forest is None else forest.frame
         self.reported = dataclasses.asdict(choices)
         self.reader = backprojection.reader_of(choices, scene.band)
-        if not scene.heard.any():
-            warnings.warn(scene.why_silent(), stacklevel=4)
+        self.silent = scene.why_empty()
+        if self.silent:
+            warnings.warn(self.silent, stacklevel=4)
 
     def __call__(
         self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None
@@ -127,7 +128,13 @@ class Plan:
         Raises
         ------
         ValueError, TypeError
-            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise".
+            Wrong shape or dtype; non-finite samples (first ping and channel named) with nan="raise"; an `out` that overlaps the
+            data or itself; an image beyond its dtype's range.
+
+        Warns
+        -----
+        UserWarning
+            No term is summed, and why; an image so small that its dtype does not hold it within tol.
 
         Notes
         -----
@@ -252,6 +259,7 @@ class Plan:
             work += min(view_angles.BYTES, self.scene.pixels * self.scene.traces * item // 2)
         return int(self.grid.size * self.dtype.itemsize + work)
 
+    @_checks.usual_errors
     def explain(self) -> str:
         """What the scene has, what was left out and the share of work saved, where the error goes, and the alternatives.
 

@@ -123,7 +123,8 @@ class LFM:
 
     @property
     def _parameter(self) -> float:
-        assert self.window_parameter is not None
+        if self.window_parameter is None:
+            raise _checks.InternalError("window_parameter: not set")
         return self.window_parameter
 
     @property
@@ -142,9 +143,10 @@ class LFM:
             terms[i] = numerator / (2 * np.prod(1 - mi**2 / m[m != mi] ** 2))
         return float(1 / (1 + 2 * terms.sum())), terms
 
+    @_checks.usual_errors
     def envelope(self, t: npt.ArrayLike) -> FloatArray:
         """Envelope at times `t` (s) after the leading edge; 0 outside `support`, 1 at the centre."""
-        u = np.asarray(t, dtype=np.float64) - self.duration / 2
+        u = _times("t", t) - self.duration / 2
         return np.where(np.abs(u) <= (self.support[1] - self.support[0]) / 2, self._centred(u), 0.0)
 
     def _centred(self, u: FloatArray) -> FloatArray:
@@ -159,6 +161,7 @@ class LFM:
             return np.asarray(scale * (1 + 2 * np.cos(2 * np.pi * u[..., None] * m / self.duration) @ terms))
         return np.ones_like(u)
 
+    @_checks.usual_errors
     def waveform(self, t: npt.ArrayLike, fc: float | None = None) -> Complex:
         """Complex base-band pulse at times `t`, s (Pailhas et al., Eq 8).
 
@@ -169,17 +172,18 @@ class LFM:
         fc : float, optional
             Demodulation frequency, Hz; default: the pulse's own.
         """
-        u = np.asarray(t, dtype=np.float64) - self.duration / 2
+        u = _times("t", t) - self.duration / 2
         offset = 0.0 if fc is None else self.fc - fc
         return np.asarray(self.envelope(t) * np.exp(1j * np.pi * (self.rate * u + 2 * offset) * u))
 
+    @_checks.usual_errors
     def spectrum(self, f: npt.ArrayLike) -> Complex:
         """Fourier transform of `waveform` at base-band frequencies `f` (Hz), in s.
 
         Rect: Fresnel integrals; Gaussian: closed form (Eq 14); others by composite Gauss-Legendre quadrature, relative
         error below 1e-9 of the peak, O(len(f) (64 + duration |bandwidth|)).
         """
-        f = np.asarray(f, dtype=np.float64)
+        f = _times("f", f)
         centre = np.exp(-1j * np.pi * f * self.duration)
         if self.window == "rect":
             rate = self.rate
@@ -203,14 +207,15 @@ class LFM:
 
         cycles = self.duration * (abs(self.bandwidth) + float(np.max(np.abs(flat), initial=0.0)))
         ends = np.tile([-half_length, half_length], (flat.size, 1))
-        return centre * _integrate(integrand, self._split(ends, (0.0,)), cycles).reshape(f.shape)
+        return np.asarray(centre * _integrate(integrand, self._split(ends, (0.0,)), cycles).reshape(f.shape))
 
+    @_checks.usual_errors
     def response(self, t: npt.ArrayLike) -> FloatArray:
         """Matched-filter response about the travel time, normalised to 1 at t = 0 (real: all windows are even).
 
         Rect: Eq 17; Gaussian: Eq 18; others by quadrature of Eq 11, error below 1e-9.
         """
-        t = np.asarray(t, dtype=np.float64)
+        t = _times("t", t)
         if self.window == "rect":
             overlap = np.clip(1 - np.abs(t) / self.duration, 0, None)
             return np.asarray(overlap * np.sinc(t * self.bandwidth * overlap))
@@ -239,6 +244,10 @@ class LFM:
             for sign in (-1, 1)
         ]
         return np.sort(np.concatenate([ends, *kinks], axis=1), axis=1)
+
+
+def _times(name: str, value: npt.ArrayLike) -> FloatArray:
+    return np.asarray(_checks.array_like(name, value), dtype=np.float64)
 
 
 def _integrate(integrand: Callable[[FloatArray], Complex], edges: FloatArray, cycles: float) -> Complex:

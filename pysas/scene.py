@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
 from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
@@ -20,6 +21,7 @@ DRAWN = 4096  # pixels whose terms are looked at when data arrive
 class Scene:
     """What the planner sees: geometry about the scene's centre, the window of every trace, the shape of the work."""
 
+    @np.errstate(over="ignore", invalid="ignore")  # coordinates too large for their squares: tol refuses them
     def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | str | None) -> None:
         self.fs, self.fc, self.c = echoes.fs, echoes.fc, echoes.c
         self.n_sample, self.dtype = echoes.n_sample, echoes.dtype
@@ -37,8 +39,7 @@ class Scene:
         self.kind = MOVING if moving else MONOSTATIC if np.array_equal(tx, rx) else STOP_AND_HOP
         geometry = np.zeros((self.traces, GEOMETRY))
         geometry[:, 0:3], geometry[:, 3:6] = tx, rx
-        if moving:
-            assert velocity is not None
+        if velocity is not None:
             geometry[:, 6:9] = velocity.reshape(-1, 3)
         self.cos_beam, self.all_lit = -1.0, False
         if echoes.beam is not None and echoes.beam.half_angle + EDGE_ANGLE < np.pi:
@@ -62,8 +63,8 @@ class Scene:
         self.nearest = float(min(near_tx.min(), near_rx.min()))
         self.farthest = float(max(far_tx.max(), far_rx.max()))
         # indices that any pixel can ask for, within the record
-        self.first = np.floor(((near_tx + near_rx) / (self.c + speed) - geometry[:, 12]) * self.fs).astype(np.int64)
-        self.last = np.ceil(((far_tx + far_rx) / (self.c - speed) - geometry[:, 12]) * self.fs).astype(np.int64)
+        self.first = self._index(np.floor(((near_tx + near_rx) / (self.c + speed) - geometry[:, 12]) * self.fs))
+        self.last = self._index(np.ceil(((far_tx + far_rx) / (self.c - speed) - geometry[:, 12]) * self.fs))
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
@@ -85,6 +86,10 @@ class Scene:
                 self._along = found[1][some // self.line_length] / self.step
             sensors = (tx,) if self.kind == MONOSTATIC else (tx, rx)
             self.slope = _slope(found, self.origin, sensors, self.line_length)
+
+    def _index(self, place: FloatArray) -> npt.NDArray[np.int64]:
+        """Places as whole numbers, all beyond the record's ends alike: they may be larger than any int64."""
+        return np.clip(place, -1, self.n_sample).astype(np.int64)
 
     def within(self, distance: float) -> float:
         """About the share of the terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
@@ -113,7 +118,11 @@ class Scene:
             if self.cos_beam > -1:
                 lit &= sum(away[0][k] * g[9 + k] for k in range(3)) >= self.cos_beam * out[0]
             slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
-            self._some = np.sort(np.minimum(*out)[lit]), np.sort(np.abs(slope)[lit]) / 2, float(np.mean(lit))
+            self._some = (
+                np.sort(np.minimum(*out)[lit]),
+                np.sort(np.abs(slope)[lit]) / 2,
+                float(np.mean(lit)) if lit.size else 0.0,
+            )
         return self._some
 
     def read(
@@ -154,6 +163,36 @@ class Scene:
             f"{self.farthest:.4g} m, record {low:.4g} to {high:.4g} m"
         )
 
+    def why_empty(self, finite: npt.NDArray[np.bool_] | None = None) -> str:
+        """Why no term can be summed, of any pixel, or of traces that are `finite`; nothing where some can."""
+        zero = self.weights == 0
+        if self.pixels == 0:
+            return "the mask leaves out every pixel: image is zero"
+        if not self.heard.any():
+            return self.why_silent()
+        if zero.all():
+            return "the weights are all 0: image is zero"
+        bad = np.zeros_like(zero) if finite is None else ~finite
+        if bad.all():
+            return "every trace holds non-finite samples: image is zero"
+        if np.any(self.heard & ~zero & ~bad):
+            return ""
+        counts = [(~self.heard, "outside the recorded window"), (zero, "of weight 0"), (bad, "with non-finite samples")]
+        found = ", ".join(f"{np.count_nonzero(c)} {text}" for c, text in counts if c.any())
+        return f"no trace is left of {self.traces}: {found}: image is zero"
+
+    def why_dark(self) -> str:
+        """Why no pixel has a term although traces are left."""
+        if self.cos_beam <= -1:
+            return "no pixel lies within the recorded window of any trace left: image is zero"
+        heard = False
+        for g in self.geometry:
+            away = [np.linalg.norm(self._pixels - g[k : k + 3], axis=1) for k in (0, 3)]
+            index = ((away[0] + away[1]) / self.c - g[12]) * self.fs
+            heard = heard or bool(np.any((index >= 0) & (index <= self.n_sample - 1)))
+        what = "beam" if heard else "beam and recorded window"
+        return f"no pixel lies within the {what} of any trace left: image is zero"
+
 
 def _lights(tx: FloatArray, boresight: FloatArray, cosine: float, low: FloatArray, high: FloatArray) -> bool:
     """Whether a box lies in every beam: its corners do, and beams up to a right angle off boresight are convex."""
@@ -171,15 +210,16 @@ def _below(values: FloatArray, limit: float) -> float:
 def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray:
     if isinstance(weights, str) and weights != UNIFORM:
         raise ValueError(f"weights={weights!r}: expected an array or {UNIFORM!r}")
-    array = np.ones(pings) if weights is None or isinstance(weights, str) else np.asarray(weights)
+    given = None if isinstance(weights, str) else weights
+    array = np.ones(pings) if given is None else _checks.array_like("weights", given)
     if array.dtype.kind not in "iufc":
         raise TypeError(f"weights: expected numbers, found dtype {array.dtype}")
     if array.shape not in ((pings,), (pings, channels)):
         raise ValueError(f"weights: expected shape ({pings},) or ({pings}, {channels}), found {array.shape}")
-    if not np.all(np.isfinite(array)):
-        bad = np.argwhere(~np.isfinite(array))[0]
-        raise ValueError(f"weights: non-finite at ping {bad[0]}{f', channel {bad[1]}' if bad.size > 1 else ''}")
-    full = array.astype(np.complex128).reshape(pings, -1)
+    full = np.array(array, dtype=np.complex128).reshape(pings, -1)
+    if not np.all(np.isfinite(full)):
+        ping, channel = np.argwhere(~np.isfinite(full))[0]
+        raise ValueError(f"weights: non-finite at ping {ping}{f', channel {channel}' if array.ndim > 1 else ''}")
     return np.broadcast_to(full, (pings, channels)).reshape(-1)
 
 

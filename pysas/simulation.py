@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -92,6 +92,7 @@ class Element:
         return np.concatenate([*vectors, np.cross(vectors[1], vectors[0]), sizes], axis=1)
 
 
+@_checks.usual_errors
 def simulate(
     points: npt.ArrayLike,
     amplitudes: npt.ArrayLike,
@@ -197,8 +198,7 @@ def simulate(
         raise TypeError(f"spreading={spreading!r}: expected True or False")
     snr_db = None if snr_db is None else _checks.number("snr_db", snr_db)
     seed = None if seed is None else _checks.whole("seed", seed, low=0)
-    if progress is not None and not callable(progress):
-        raise TypeError(f"progress={progress!r}: expected a callable or None")
+    _checks.callback("progress", progress)
     workers = _checks.threads(threads)
     elements = []
     for name, element in (("tx_element", tx_element), ("rx_element", rx_element)):
@@ -288,8 +288,7 @@ def _fill(
     progress: Callable[[float], object] | None,
 ) -> float:
     """Sum the echoes, by blocks of traces (memory) and chunks of points (time), into the data; returns mean |signal|^2."""
-    traces, pulse = echoes.traces, echoes.pulse
-    assert isinstance(pulse, LFM)
+    traces, pulse = echoes.traces, cast(LFM, echoes.pulse)
     n_ping, n_channel, n_sample = traces.shape
     tx, rx, start = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C"), np.array(echoes.start_time)
     moving = echoes.receiver_velocity
@@ -309,11 +308,12 @@ def _fill(
         geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
         faces = (elements[0][ping], elements[1][ping])
         last = min(first + step, len(points))
-        bad = _add_echoes(row, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive)
+        what = (geometry, model, window, terms, spreading, faces, directive)
+        bad = _pool.call(_add_echoes, row, points, amplitudes, first, last, *what)
         if bad >= 0:
             clashes.append((ping, channel, bad))  # the first is told, whichever thread was faster
         if last == len(points):
-            power[trace] = _power(row)
+            power[trace] = _pool.call(_power, row)
             traces[ping, channel] = row
 
     def tick(done: int) -> None:

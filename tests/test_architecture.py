@@ -29,7 +29,7 @@ SCRIPTS = {
 }
 
 DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
-TOOLS = {"pysas._pool"}  # threads for any loop: without NumPy, so without a delay
+TOOLS = {"pysas._pool", "pysas._leaving"}  # threads for any loop: without NumPy, so without a delay
 EDGE = {
     "pysas",
     "pysas.io",
@@ -431,6 +431,18 @@ def test_reference_tests_call_no_engine() -> None:
     }
     assert marked
     assert {name: found for name, text in marked.items() if (found := engine_use(text))} == {}
+
+
+# Errors: input never meets an `assert`, which says nothing, and nothing at all under python -O
+
+
+def assertions(text: str) -> list[str]:
+    return [ast.unparse(node) for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Assert)]
+
+
+def test_what_cannot_be_is_an_internal_error() -> None:
+    assert assertions("def f(x):\n    assert x > 0") == ["assert x > 0"]
+    assert {name: found for name, text in MODULES.items() if (found := assertions(text))} == {}
 
 
 # Size: what is longer than this holds more than one thing

@@ -189,6 +189,8 @@ def test_numba_reads_only_its_own_traces(monkeypatch):
         seen.append((interval.max() * model[3], table.size / len(geometry) / (4 * len(pairs))))
         return kernel(coords, blocks, straight, active, geometry, model, kind, table, x, *rest)
 
+    for name in ("overloads", "compile", "typeof_pyval"):
+        setattr(watched, name, getattr(kernel, name))
     monkeypatch.setattr(summation._numba, "sum_tile", watched)
     pysas.backproject(echoes, pysas.Grid.plane(axis, axis[:40]), 1e-2, backend="numba")
     assert len(seen) > 2 and all(last <= room for last, room in seen)

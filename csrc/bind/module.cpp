@@ -17,6 +17,7 @@
 #include "core/errors.hpp"
 #include "core/factorised.hpp"
 #include "core/filters.hpp"
+#include "core/leaving.hpp"
 #include "core/subapertures.hpp"
 #include "core/summation.hpp"
 
@@ -55,9 +56,29 @@ const T* pointer(const std::optional<py::array_t<T>>& array) {
     return array ? array->data() : nullptr;
 }
 
-// Progress and Ctrl-C: runs in the calling thread, which does not hold the GIL.
+// Releases the GIL. While the interpreter ends, whoever takes it again is unwound by pthread_exit, which no destructor
+// survives: such threads stay outside.
+class Released {
+  public:
+    Released() {
+        leaving::off();
+        state_ = PyEval_SaveThread();
+    }
+    ~Released() {
+        leaving::back();
+        PyEval_RestoreThread(state_);
+        leaving::home();
+    }
+    Released(const Released&) = delete;
+
+  private:
+    PyThreadState* state_;
+};
+
+// Progress, Ctrl-C and the interpreter's end: runs in the calling thread, which does not hold the GIL.
 Tick ticker(const py::object& tick) {
     return [&tick](double share) {
+        if (leaving::stopping()) return false;
         const py::gil_scoped_acquire gil;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
         if (!tick.is_none()) tick(share);
@@ -75,14 +96,18 @@ py::tuple design_filter(double band, int degree, int phases, int step, double er
     return py::make_tuple(weight, first, filter.error);
 }
 
-py::array_t<double> trace_peaks(const py::array& data, int threads, const py::object& tick) {
+py::array_t<double> trace_peaks(const py::array& data, const Array<std::int64_t>& begin, const Array<std::int64_t>& end,
+                                int threads, const py::object& tick) {
+    if (data.ndim() != 3 || begin.size() != data.shape(0) * data.shape(1) || end.size() != begin.size())
+        throw py::value_error("peaks: traces, and where each begins and ends");
     py::array_t<double> out({data.shape(0), data.shape(1)});
     double* to = out.mutable_data();
+    const std::int64_t *from = begin.data(), *until = end.data();
     const Tick check = ticker(tick);
     const auto call = [&](auto kind) {
         const auto traces = view<const decltype(kind), 3>(data);
-        const py::gil_scoped_release gil;
-        peaks(traces, to, threads, check);
+        const Released gil;
+        peaks(traces, from, until, to, threads, check);
     };
     if (data.itemsize() == 8)
         call(std::complex<float>());
@@ -130,7 +155,7 @@ void prepare_batch(const py::array& data, const Array<std::int64_t>& order, cons
         const auto to = view<Real, 3>(table);
         const Batch<Sample> batch{
             view<const Sample, 3>(data), order.data(), start.data(), pointer(weights), order.size(), length, scale};
-        const py::gil_scoped_release gil;
+        const Released gil;
         prepare(kernels, batch, filter, to.data, to.stride[1], threads, check);
     };
     if (data.itemsize() == 8)
@@ -209,7 +234,7 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
                           to.shape[0],
                           to.shape[1],
                           count};
-        const py::gil_scoped_release gil;
+        const Released gil;
         return add(kernels, terms, frame, to, threads, check);
     };
     if (table.itemsize() == 8) return call(double(), std::complex<double>());
@@ -282,7 +307,7 @@ void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, cons
     const Lattice lattice = lattice_of(weights, geometry.shape(0));
     terms.lattice = weights ? &lattice : nullptr;
     const std::int64_t* spans = span.data();
-    const py::gil_scoped_release gil;
+    const Released gil;
     leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), slack, smooth,
            threads, check);
 }
@@ -297,7 +322,7 @@ void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const
     const auto children = images_of(child_place, child_shape, child_range, child_store);
     const auto images = images_of(place, shape, range, store);
     const std::int64_t* spans = span.data();
-    const py::gil_scoped_release gil;
+    const Released gil;
     merge(kernels, tree.tree, children.data(), spans, images.data(), static_cast<std::int64_t>(images.size()), add,
           last, smooth, threads, check);
 }
@@ -330,7 +355,7 @@ void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<
                           to.shape[0],
                           to.shape[1],
                           count};
-        const py::gil_scoped_release gil;
+        const Released gil;
         read(kernels, tree.tree, from[0], frame, points ? &stack : nullptr, wanted.data(), to, threads, check);
     };
     if (image.itemsize() == 8)
@@ -370,7 +395,7 @@ py::tuple plant_group(const Array<double>& geometry, const Array<double>& centre
     Subtree grown;
     FlatLevels flat;
     {
-        const py::gil_scoped_release gil;
+        const Released gil;
         const Group group = make_group(Numbers(traces.data(), traces.data() + traces.size()), places);
         grown = plant(group, survey, places, layout, plane, direction, std::move(reads), step, left);
         flat = flatten(grown.levels);
@@ -385,7 +410,15 @@ void translate(std::exception_ptr pointer) {
     try {
         if (pointer) std::rethrow_exception(pointer);
     } catch (const Error& error) {
-        PyErr_SetString(error.code == Code::argument ? PyExc_ValueError : PyExc_RuntimeError, error.what());
+        if (error.code ==
+            Code::cancelled)  // ticks stop sums at the interpreter's end alone: a thread ends without a word
+            PyErr_SetNone(PyExc_SystemExit);
+        else
+            PyErr_SetString(error.code == Code::argument ? PyExc_ValueError : PyExc_RuntimeError, error.what());
+    } catch (const std::length_error&) {
+        PyErr_NoMemory();
+    } catch (const std::logic_error& error) {
+        PyErr_SetObject(py::module_::import("pysas._checks").attr("InternalError").ptr(), py::str(error.what()).ptr());
     }
 }
 
@@ -398,13 +431,16 @@ PYBIND11_MODULE(_core, m) {
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
     m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
     m.def("isa", &isa_of, "name"_a, "The instruction set that `name` stands for.");
+    m.def("stop_others", &leaving::stop_others, "The interpreter ends in this thread: sums in others are to stop.");
+    m.def("keep_others", &leaving::keep_others, "From now on the other threads do not come back to it.");
+    m.def("away", &leaving::away, "Threads outside the interpreter that may still come back.");
     m.def("plane_stride", &plane_stride, "intervals"_a, "degree"_a, "real"_a,
           "Reals from one plane of a table to the next.");
     m.def("intervals", &intervals_of, "length"_a, "rate"_a, "Intervals of a table over `length` samples.");
     m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "least"_a, "most"_a,
           "Filter weights (phase, tap, power), first taps and measured error.");
-    m.def("peaks", &trace_peaks, "data"_a, "threads"_a, "tick"_a,
-          "Largest real or imaginary part of every trace; not finite where the trace is not.");
+    m.def("peaks", &trace_peaks, "data"_a, "begin"_a, "end"_a, "threads"_a, "tick"_a,
+          "Largest real or imaginary part of some samples of every trace; not finite where the trace is not.");
     m.def("mean_squares", &squares_about, "data"_a, "trace"_a, "place"_a, "reach"_a, "scale"_a, "threads"_a, "tick"_a,
           "Mean squares of samples about places.");
     m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "weight"_a, "first"_a,

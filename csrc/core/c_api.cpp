@@ -34,7 +34,7 @@ int guarded(F body) noexcept {
         return PYSAS_ERROR_MEMORY;
     } catch (const std::length_error&) {
         return PYSAS_ERROR_MEMORY;
-    } catch (...) {
+    } catch (...) {  // std::logic_error among them
         return PYSAS_ERROR_INTERNAL;
     }
 }
@@ -80,11 +80,13 @@ const char* pysas_strerror(int code) {
         case PYSAS_ERROR_CANCELLED:
             return "stopped by the progress callback";
         case PYSAS_ERROR_INTERNAL:
-            return "internal error";
+            return "internal error: a fault of pysas, not of its input: please report it";
         case PYSAS_ERROR_STRUCT:
             return "struct_size is not one this library knows: set it to sizeof the struct";
         case PYSAS_ERROR_DATA:
             return "the data hold samples that are not finite";
+        case PYSAS_ERROR_RANGE:
+            return "the image, or a weight times a sample, lies beyond the range of its type: scale the data";
         default:
             return "unknown error code";
     }

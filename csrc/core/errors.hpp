@@ -7,7 +7,7 @@
 namespace pysas {
 
 // Numbered as the PYSAS_ERROR_ codes of pysas.h.
-enum class Code { argument = 1, tolerance = 2, memory = 3, cancelled = 4, internal = 5, data = 7 };
+enum class Code { argument = 1, tolerance = 2, memory = 3, cancelled = 4, internal = 5, data = 7, range = 8 };
 
 class Error : public std::runtime_error {
   public:

@@ -6,6 +6,7 @@
 #include <limits>
 #include <thread>
 
+#include "core/border.hpp"
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
 #include "core/polynomials.hpp"
@@ -99,6 +100,9 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     model_.cos_beam = survey.boresight && widest < pi ? std::cos(widest) : -1.0;
     model_.run = narrow_ ? longest_run(tol_) : 0;
     place(survey, grid);
+    // of the carrier's phase, or of the place in a record whose band is wider than its carrier is high
+    if (1e-14 * farthest_ * std::max(survey.fc, bandwidth) / survey.c > tol_)
+        throw Error(Code::tolerance, "tol: out of reach of double over this range");
     if (options.method == PYSAS_FFBP) plant(options.tol);
     if (forest_) return;
     const Shares shares{0.1, 0.6};
@@ -126,7 +130,8 @@ void Plan::check(const pysas_survey& survey, const pysas_grid& grid, const pysas
     }
     if (!(survey.bandwidth >= 0 && survey.bandwidth <= survey.fs / 1.1 * (1 + 1e-9)))
         refuse("bandwidth: above fs / 1.1");
-    if (survey.boresight && !(survey.beam_half_angle > 0)) refuse("beam_half_angle: must be positive");
+    if (survey.boresight && !(survey.beam_half_angle > 0 && survey.beam_half_angle <= pi * (1 + 1e-9)))
+        refuse("beam_half_angle: not in (0, pi]");
     for (std::int64_t i = 0; survey.velocity && i < traces; ++i) {
         const double zero[3] = {0, 0, 0};
         if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * survey.c))
@@ -188,6 +193,7 @@ void Plan::place(const pysas_survey& survey, const pysas_grid& grid) {
             moving = moving || trace.velocity[axis] != 0;
             if (survey.boresight) trace.boresight[axis] = survey.boresight[3 * ping + axis];
         }
+        if (survey.boresight) normalise(trace.boresight);
         trace.t0 = survey.ping_t0 ? survey.ping_t0[ping] : survey.t0;
         traces_.push_back(trace);
         order_.push_back(i);
@@ -330,24 +336,13 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
     View<Sample, 2> to{static_cast<Sample*>(image), {height_, width_}, {}};
     std::copy_n(data_stride ? data_stride : packed, 3, from.stride);
     std::copy_n(image_stride ? image_stride : rows, 2, to.stride);
+    check_image(to.shape, to.stride, image, from.shape, from.stride, data, sizeof(Sample));
     for (std::int64_t i = 0; i < height_; ++i) {
         for (std::int64_t j = 0; j < width_; ++j) to(i, j) = 0;
     }
     if (progress_ && !progress_(0)) throw Error(Code::cancelled, "stopped by the caller");
-    std::vector<double> peak(static_cast<std::size_t>(pings_ * channels_));
-    peaks(from, peak.data(), threads_, {});
-    const double largest = *std::max_element(peak.begin(), peak.end());
-    if (!(largest <= std::numeric_limits<double>::max())) throw Error(Code::data, "data: samples that are not finite");
-    if (traces_.empty() || largest == 0) return;
-    int exponent = 0;
-    std::frexp(largest, &exponent);
-    double scale = std::ldexp(1.0, exponent);
-    double heaviest = 0;
-    for (const auto& weight : weights_) heaviest = std::max(heaviest, std::abs(weight));
-    if (heaviest > 0) {
-        std::frexp(heaviest, &exponent);
-        scale *= std::ldexp(1.0, exponent);
-    }
+    const auto scale = this->scale(from);
+    if (!scale) return;
 
     View<Sample, 2> lines = to;
     std::vector<Sample> list;
@@ -364,23 +359,67 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
     }
     if constexpr (sizeof(Real) == 4) {
         if (forest_)
-            sum_forest(from, lines, scale);
+            sum_forest(from, lines, *scale);
         else
-            sum_directly<Real>(from, lines, scale);
+            sum_directly<Real>(from, lines, *scale);
     } else {
-        sum_directly<Real>(from, lines, scale);
+        sum_directly<Real>(from, lines, *scale);
     }
     using value = typename Sample::value_type;
+    using limits = std::numeric_limits<value>;
+    const int exponent = exponent_of(*scale) - 1;
+    const auto scaled = [&](value part) {  // the scale itself may be no float
+        return exponent > limits::min_exponent && exponent < limits::max_exponent ? part * static_cast<value>(*scale)
+                                                                                  : std::ldexp(part, exponent);
+    };
+    double power = 0, largest = 0;
     for (std::int64_t i = 0; i < height_; ++i) {
         for (std::int64_t j = 0; j < width_; ++j) {
             const std::int64_t flat = i * width_ + j;
             Sample& pixel = to(i, j);
             if (!list.empty()) pixel = list[static_cast<std::size_t>(flat)];
-            pixel =
-                mask_.empty() || mask_[static_cast<std::size_t>(flat)] ? pixel * static_cast<value>(scale) : Sample(0);
+            const bool wanted = mask_.empty() || mask_[static_cast<std::size_t>(flat)];
+            if (wanted) {
+                power += std::norm(std::complex<double>(pixel));
+                largest = std::max<double>({largest, std::abs(pixel.real()), std::abs(pixel.imag())});
+            }
+            pixel = wanted ? Sample(scaled(pixel.real()), scaled(pixel.imag())) : Sample(0);
         }
     }
+    if (largest > 0) {
+        // rounding to multiples of the smallest number, evenly spread, of both parts
+        const double lost = std::ldexp(std::sqrt(static_cast<double>(height_ * width_) / 6 / power),
+                                       std::clamp(limits::min_exponent - limits::digits - exponent, -2000, 2000));
+        if (exponent_of(largest) + exponent > limits::max_exponent || !(lost <= tol_ / 10))
+            throw Error(Code::range, "the image lies beyond the range of its type");
+    }
     if (progress_ && !progress_(1)) throw Error(Code::cancelled, "stopped by the caller");
+}
+
+// The power of two next to the largest weight x sample that is read; none where all are 0.
+template <typename Sample>
+std::optional<double> Plan::scale(const View<const Sample, 3>& from) const {
+    const auto count = static_cast<std::size_t>(pings_ * channels_);
+    std::vector<double> peak(count);
+    std::vector<std::int64_t> begin(count, 0), end(count, 0);
+    for (std::size_t i = 0; i < traces_.size(); ++i) {
+        const auto flat = static_cast<std::size_t>(order_[i]);
+        begin[flat] = std::clamp<std::int64_t>(start_[i] - filter_.taps, 0, samples_);
+        end[flat] = std::clamp<std::int64_t>(start_[i] + length_ + filter_.taps, begin[flat], samples_);
+    }
+    peaks(from, begin.data(), end.data(), peak.data(), threads_, {});
+    if (!(*std::max_element(peak.begin(), peak.end()) <= std::numeric_limits<double>::max()))
+        throw Error(Code::data, "data: samples that are not finite");
+    std::optional<int> most;  // in exponents: the products may be no numbers
+    for (std::size_t i = 0; i < traces_.size(); ++i) {
+        const double largest = peak[static_cast<std::size_t>(order_[i])];
+        if (largest == 0) continue;
+        const int exponent = exponent_of(largest) + (weights_.empty() ? 1 : exponent_of(std::abs(weights_[i])));
+        most = std::max(most.value_or(exponent), exponent);
+    }
+    if (!most) return {};
+    if (*most > 1025) throw Error(Code::range, "weights x samples: beyond the range of double");
+    return std::ldexp(1.0, std::clamp(*most, -1074, 1023));
 }
 
 std::int64_t Plan::stride(std::size_t real) const {

@@ -47,6 +47,8 @@ class Plan {
 
     template <typename Real, typename Sample>
     void sum(const void* data, const std::int64_t* data_stride, void* image, const std::int64_t* image_stride) const;
+    template <typename Sample>
+    std::optional<double> scale(const View<const Sample, 3>& from) const;
     template <typename Real, typename Sample>
     void sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const;
     template <typename Sample>

@@ -75,15 +75,29 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
                 const std::int64_t to = std::min(start + batch.length + filter.taps, n_sample);
                 const Sample* trace = &batch.data(batch.order[i] / channels, batch.order[i] % channels, 0);
                 const std::int64_t apart = batch.data.stride[2];
-                const std::complex<double> factor =
-                    (batch.weights ? batch.weights[i] : std::complex<double>(1.0)) / batch.scale;
+                const std::complex<double> weight = batch.weights ? batch.weights[i] : std::complex<double>(1.0);
                 // in double: one over a float's smallest amplitude is no float
-                const double a = factor.real(), b = factor.imag();
+                double a = weight.real() / batch.scale, b = weight.imag() / batch.scale, divisor = 1;
+                const double size = std::max(std::abs(a), std::abs(b));
+                if (size > 0x1p1000 || (size < 0x1p-1000 && weight != 0.0)) {  // one over a double's is no double
+                    divisor = batch.scale;
+                    a = weight.real();
+                    b = weight.imag();
+                }
                 for (int i = 0; i < filter.step; ++i) {
                     // the first sample of each part
                     const std::int64_t ahead = (i - (from - start + before)) % filter.step;
                     const std::int64_t begin = from + (ahead < 0 ? ahead + filter.step : ahead);
                     Real* re = samples.data() + 2 * i * part + (begin - start + before) / filter.step;
+                    if (divisor != 1) {
+                        for (std::int64_t n = begin; n < to; n += filter.step, ++re) {
+                            const std::complex<double> s = trace[n * apart];
+                            const double x = s.real() / divisor, y = s.imag() / divisor;
+                            re[0] = static_cast<Real>(x * a - y * b);
+                            re[part] = static_cast<Real>(x * b + y * a);
+                        }
+                        continue;
+                    }
                     for (std::int64_t n = begin; n < to; n += filter.step, ++re) {
                         const Sample s = trace[n * apart];
                         re[0] = static_cast<Real>(s.real() * a - s.imag() * b);
@@ -172,23 +186,34 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
 }
 
 template <typename Sample>
-void peaks(const View<const Sample, 3>& data, double* out, int threads, const Tick& tick) {
+void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const std::int64_t* end, double* out,
+           int threads, const Tick& tick) {
     using value = typename Sample::value_type;
+    constexpr value limit = std::numeric_limits<value>::max();
     run(
         data.shape[0], threads,
         [&](std::int64_t ping) {
             for (std::int64_t channel = 0; channel < data.shape[1]; ++channel) {
                 const Sample* trace = &data(ping, channel, 0);
-                value most = 0;
+                const std::int64_t flat = ping * data.shape[1] + channel;
                 bool finite = true;
-                for (std::int64_t n = 0; n < data.shape[2]; ++n) {
-                    const Sample s = trace[n * data.stride[2]];
-                    const value a = std::abs(s.real()), b = std::abs(s.imag());
-                    const value larger = a > b ? a : b;
-                    finite &= a <= std::numeric_limits<value>::max() && b <= std::numeric_limits<value>::max();
-                    most = larger > most ? larger : most;
-                }
-                out[ping * data.shape[1] + channel] = finite ? static_cast<double>(most) : HUGE_VAL;
+                const auto most = [&](std::int64_t from, std::int64_t to) {
+                    value found = 0;
+                    bool all = true;
+                    for (std::int64_t n = from; n < to; ++n) {
+                        const Sample s = trace[n * data.stride[2]];
+                        const value a = std::abs(s.real()), b = std::abs(s.imag());
+                        const value larger = a > b ? a : b;
+                        all &= a <= limit && b <= limit;
+                        found = larger > found ? larger : found;
+                    }
+                    finite = finite && all;
+                    return static_cast<double>(found);
+                };
+                most(0, begin[flat]);
+                const double found = most(begin[flat], end[flat]);
+                most(std::max(begin[flat], end[flat]), data.shape[2]);
+                out[flat] = finite ? found : HUGE_VAL;
             }
         },
         tick);
@@ -228,8 +253,8 @@ template void prepare(const Kernels&, const Batch<Double>&, const Filter&, doubl
 template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Single, 2>&, int, const Tick&);
 template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Double, 2>&, int, const Tick&);
 template std::int64_t add(const Kernels&, const Terms<double>&, const Frame&, const View<Double, 2>&, int, const Tick&);
-template void peaks(const View<const Single, 3>&, double*, int, const Tick&);
-template void peaks(const View<const Double, 3>&, double*, int, const Tick&);
+template void peaks(const View<const Single, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
+template void peaks(const View<const Double, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
 template void mean_squares(const View<const Single, 3>&, const Places&, double, double*, int, const Tick&);
 template void mean_squares(const View<const Double, 3>&, const Places&, double, double*, int, const Tick&);
 

@@ -23,7 +23,7 @@ struct Batch {
     const std::complex<double>* weights;  // (count), or null
     std::int64_t count;
     std::int64_t length;  // samples kept
-    double scale;         // samples are divided by it
+    double scale;         // samples are divided by it, a power of two
 };
 
 // Reals between planes: room for `intervals` and a window's overhang, and planes that do not share cache sets.
@@ -84,9 +84,11 @@ template <typename Real, typename Pixel>
 std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& frame, const View<Pixel, 2>& image,
                  int threads, const Tick& tick);
 
-// Largest |real| or |imaginary| part of each trace, (ping, channel); not finite where the trace is not.
+// Largest |real| or |imaginary| part of samples begin to end - 1, which are in the record, of each trace, (ping,
+// channel); not finite where the trace is not, within or without them.
 template <typename Sample>
-void peaks(const View<const Sample, 3>& data, double* out, int threads, const Tick& tick);
+void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const std::int64_t* end, double* out,
+           int threads, const Tick& tick);
 
 // Places in traces: (count) flat ping-channel and sample numbers, and samples to each side of them.
 struct Places {

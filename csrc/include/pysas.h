@@ -4,7 +4,8 @@
  * Every function returns 0 or one of the codes below; none throws, exits or prints. Structs begin with their size, so
  * that a library newer than its caller knows which fields the caller has: set struct_size = sizeof(the struct) and zero
  * the rest. Lengths are in metres, times in seconds, frequencies in hertz. Strides count elements, not bytes. Arrays
- * without strides are C-contiguous. A plan may be executed from several threads at a time.
+ * without strides are C-contiguous. Numbers of structs are finite and at most 1e15. A plan may be executed from several
+ * threads at a time.
  *
  * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
@@ -41,9 +42,10 @@ enum {
     PYSAS_ERROR_TOLERANCE = 2, /* tol cannot be kept: see pysas_options */
     PYSAS_ERROR_MEMORY = 3,
     PYSAS_ERROR_CANCELLED = 4, /* progress returned something other than 0 */
-    PYSAS_ERROR_INTERNAL = 5,
-    PYSAS_ERROR_STRUCT = 6, /* struct_size is not one this library knows */
-    PYSAS_ERROR_DATA = 7    /* samples that are not finite */
+    PYSAS_ERROR_INTERNAL = 5,  /* a fault of pysas, not of its input: please report it */
+    PYSAS_ERROR_STRUCT = 6,    /* struct_size is not one this library knows */
+    PYSAS_ERROR_DATA = 7,      /* samples that are not finite */
+    PYSAS_ERROR_RANGE = 8      /* the image, or a weight times a sample, lies beyond the range of its type */
 };
 
 enum { PYSAS_COMPLEX64 = 0, PYSAS_COMPLEX128 = 1 };
@@ -67,10 +69,11 @@ typedef struct pysas_survey {
     const double* ping_t0;   /* (n_ping), or NULL: t0 for all */
     const double* tx;        /* (n_ping, 3) transmitters */
     const double* rx;        /* (n_ping, n_channel, 3) receivers when the ping starts */
-    const double* velocity;  /* (n_ping, n_channel, 3) receivers' velocities, or NULL: none */
+    const double* velocity;  /* (n_ping, n_channel, 3) receivers' velocities, below c / 2, or NULL: none */
     const double* weights;   /* (n_ping, n_channel) factors of the terms, or NULL: 1 */
-    const double* boresight; /* (n_ping, 3) unit vectors, or NULL: no beam */
-    double beam_half_angle;  /* terms 1e-7 rad or more outside it do not count, radians */
+    const double* boresight; /* (n_ping, 3) directions of any length but 0, or NULL: no beam */
+    double beam_half_angle;  /* terms 1e-7 rad or more outside it do not count, radians in (0, pi]; not read without
+                                boresight */
 } pysas_survey;
 
 typedef struct pysas_grid {
@@ -99,8 +102,8 @@ typedef struct pysas_plan pysas_plan;
 PYSAS_API int pysas_plan_create(const pysas_survey* survey, const pysas_grid* grid, const pysas_options* options,
                                 pysas_plan** plan);
 
-/* Image data (ping, channel, sample) into image (row, column), which is overwritten. Strides may be NULL: C-contiguous.
- */
+/* Image data (ping, channel, sample) into image (row, column), which is overwritten: its pixels have memory of their
+ * own, none of it between the first and the last of the data. Strides may be NULL: C-contiguous. */
 PYSAS_API int pysas_plan_execute(const pysas_plan* plan, const void* data, const int64_t data_stride[3], void* image,
                                  const int64_t image_stride[2]);
 

@@ -15,6 +15,15 @@ def levels() -> list[str]:
 def isa(name: str) -> str:
     """The instruction set that `name` stands for; "auto" is the best. ValueError for one that is not in `levels`."""
 
+def stop_others() -> None:
+    """The interpreter ends in this thread: sums in others are to stop."""
+
+def keep_others() -> None:
+    """From now on the other threads do not come back to it."""
+
+def away() -> int:
+    """Threads outside the interpreter that may still come back."""
+
 def plane_stride(intervals: int, degree: int, real: int) -> int:
     """Reals of `real` bytes from one plane of a table to the next."""
 
@@ -26,8 +35,15 @@ def design(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
     """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
 
-def peaks(data: npt.NDArray[Any], threads: int, tick: Callable[[float], object] | None) -> npt.NDArray[np.float64]:
-    """Largest real or imaginary part of every trace of (ping, channel, sample); not finite where the trace is not."""
+def peaks(
+    data: npt.NDArray[Any],
+    begin: npt.NDArray[np.int64],
+    end: npt.NDArray[np.int64],
+    threads: int,
+    tick: Callable[[float], object] | None,
+) -> npt.NDArray[np.float64]:
+    """Largest real or imaginary part of samples [begin, end) of every trace of (ping, channel, sample); not finite where the
+    trace is not."""
 
 def mean_squares(
     data: npt.NDArray[Any],

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pysas import _checks
+from pysas import _checks, _leaving
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import summation
@@ -49,14 +49,21 @@ def simple_rate(least: float) -> Fraction:
 def extension() -> Any | None:
     """The compiled module, or None where it was not built."""
     try:
-        return importlib.import_module("pysas.engine._core")
+        return core()
     except ImportError:
         return None
 
 
 def core() -> Any:
     """The compiled module, which must be there."""
-    return importlib.import_module("pysas.engine._core")
+    module = importlib.import_module("pysas.engine._core")
+    _watch(module)
+    return module
+
+
+@functools.cache
+def _watch(module: Any) -> None:
+    _leaving.join(_leaving.Part(module.stop_others, module.away, module.keep_others))
 
 
 def isa_name() -> str:
@@ -151,11 +158,12 @@ def nodes(count: int) -> tuple[FloatArray, FloatArray]:
     return at, fit
 
 
-def peaks(data: ComplexArray, threads: int) -> FloatArray:
-    """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
+def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
+    """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where the trace
+    is not, within or without them."""
     if not _plain(data):
-        return summation.peaks(data, threads)
-    return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], threads, None))
+        return summation.peaks(data, begin, end, threads)
+    return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], begin, end, threads, None))
 
 
 def mean_squares(
@@ -215,11 +223,12 @@ def accumulate(
         for number, (lo, hi) in enumerate(slabs):
             done, more = (begin + part.size * number / len(slabs)) / len(order), part.size / len(slabs) / len(order)
             tick = None
-            if progress is not None:
+            if (report := progress) is not None:
 
-                def tick(share: float, done: float = done, more: float = more) -> None:
-                    assert progress is not None
-                    progress(done + more * share)
+                def tick(
+                    share: float, report: Callable[[float], None] = report, done: float = done, more: float = more
+                ) -> None:
+                    report(done + more * share)
 
             points = None if frame.straight else frame.points(lo, hi)
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
@@ -252,7 +261,7 @@ def fill(
 ) -> None:
     """Tables of traces `part` (flat numbers) of (ping, channel, sample)."""
     if reader.cut is not None:
-        _low_passed(traces, part, start, weights, scale, reader, table, threads, isa)
+        _low_passed(traces, part, start, weights, scale, reader, reader.cut, table, threads, isa)
         return
     source, places = (traces, part) if _plain(traces) else (_native(traces, part), np.arange(part.size))
     filter = reader.filter
@@ -280,14 +289,14 @@ def _low_passed(
     weights: ComplexArray,
     scale: float,
     reader: Reader,
+    cut: Cut,
     table: FloatArray,
     threads: int,
     isa: str,
 ) -> None:
     """Tables of traces low-passed by W, at twice the sample rate, in groups of traces that stay in the cache."""
-    assert reader.cut is not None
-    n_fft, wide = reader.cut.n_fft, reader.wide
-    cut = Cut(traces.shape[2], n_fft, None) if wide else reader.cut
+    n_fft, wide = cut.n_fft, reader.wide
+    cut = Cut(traces.shape[2], n_fft, None) if wide else cut
     at_once = rows_per_task(2 * n_fft)
     kind = np.complex128 if wide or table.dtype == np.float64 else np.complex64
     pass_band: FloatArray = (2 * low_pass(scipy.fft.fftfreq(n_fft))).astype(np.float64 if kind is np.complex128 else np.float32)

@@ -8,6 +8,7 @@ inverse transform per q gives coefficient q of all intervals.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,7 +117,7 @@ def segments(
 ) -> ComplexArray:
     """The samples kept of traces `order` (flat ping-channel numbers) of (ping, channel, sample), weighted and tapered.
 
-    Trace i is kept from sample start[i] on, zeros outside its record, divided by `scale`.
+    Trace i is kept from sample start[i] on, zeros outside its record, divided by `scale`, a power of two.
     """
     channels, n_sample = traces.shape[1], traces.shape[2]
     kept: ComplexArray = np.zeros((order.size, plan.length), dtype=dtype)
@@ -125,7 +126,24 @@ def segments(
         first = int(start[i])
         a, b = max(first, 0), min(first + plan.length, n_sample)
         if b > a:
-            kept[i, a - first : b - first] = trace[a:b] * kept.dtype.type(weights[i] / scale)
+            kept[i, a - first : b - first] = _scaled(trace[a:b], complex(weights[i]), scale, kept.dtype)
     if plan.window is not None:
         kept *= plan.window
     return kept
+
+
+def _scaled(samples: ComplexArray, weight: complex, scale: float, dtype: npt.DTypeLike) -> ComplexArray:
+    """weight samples/scale, whose product alone need be a number of `dtype`."""
+    exponent = math.frexp(scale)[1] - 1
+    size = math.frexp(max(abs(weight.real), abs(weight.imag)))[1] - exponent  # of their quotient
+    most = np.finfo(dtype).maxexp // 2
+    factor = complex(math.ldexp(weight.real, -exponent), math.ldexp(weight.imag, -exponent)) if size < 900 else 0j
+    if -most < size < most or weight == 0:
+        return np.asarray(samples * np.asarray(factor, dtype)[()])
+    double = np.array(samples, dtype=np.complex128)
+    if -900 < size < 900:
+        double *= factor
+    else:
+        np.ldexp(double.view(np.float64), -exponent, out=double.view(np.float64))
+        double *= weight
+    return double

@@ -185,7 +185,8 @@ class Interpreted:
         def add(task: int) -> None:
             i, begin, end = pieces[task]
             part = slice(level.span[i], level.span[i + 1])
-            _numba_tree.leaf(
+            pool.call(
+                _numba_tree.leaf,
                 level.place[i], level.shape[i], level.range, begin, end, geometry[part], model, survey.kind,
                 flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs, self.setting.wave,
                 self.turns[0], self.turns[1], lattice[..., part], axes, store,
@@ -204,7 +205,8 @@ class Interpreted:
         rays = int(parent.shape[0, 1])
 
         def climb(task: int) -> None:
-            _numba_tree.merge(
+            pool.call(
+                _numba_tree.merge,
                 parent.place[0], parent.shape[0], parent.range, store, task * RAYS, min((task + 1) * RAYS, rays),
                 children.place, children.shape, below, taps.even, taps.odd, taps.filter, self.setting.wave, self.turns[0],
                 self.turns[1], add, top,
@@ -234,7 +236,8 @@ class Interpreted:
                 blocks = np.concatenate([lines[0][rows] + columns.start * lines[1][rows], lines[1][rows]], axis=1)
             if points is not None and stack is not None:
                 pixels, axis, heights, number = points[rows, columns], stack.axis, stack.heights, stack.number
-            _numba_tree.read(
+            pool.call(
+                _numba_tree.read,
                 place, shape, store, taps.even, taps.odd, self.setting.wave, self.turns[0], self.turns[1], blocks, pixels, axis,
                 heights, number, active, out,
             )  # fmt: skip
@@ -269,7 +272,8 @@ class Interpreted:
             if points is not None:
                 coords = points[rows, columns].reshape(-1, 3)
             out = np.zeros((len(blocks), width), dtype=np.complex64)
-            counted[task] = _numba.sum_tile(
+            counted[task] = pool.call(
+                _numba.sum_tile,
                 coords, blocks, lines is not None, active, geometry, survey.model, survey.kind, flat,
                 summation.places(out.shape[1], np.float32), self.nodes, self.fit, self.half, self.sums[0], self.sums[1],
                 self.pairs, *survey.weighing(), out,
@@ -293,7 +297,7 @@ class Interpreted:
 
         def smooth(task: int) -> None:
             i, ray = rays[task]
-            _numba_tree.smooth_along(level.shape[i], level.range, self.setting.taps.filter, ray, store)
+            pool.call(_numba_tree.smooth_along, level.shape[i], level.range, self.setting.taps.filter, ray, store)
 
         self._run(smooth, len(rays), None)
 
@@ -306,7 +310,7 @@ class Interpreted:
 
         def smooth(task: int) -> None:
             i, begin, end = pieces[task]
-            _numba_tree.smooth_across(level.shape[i], level.range, self.setting.taps.filter, begin, end, store)
+            pool.call(_numba_tree.smooth_across, level.shape[i], level.range, self.setting.taps.filter, begin, end, store)
 
         self._run(smooth, len(pieces), None)
 

@@ -77,14 +77,22 @@ class Totals:
     terms: int
 
 
-def peaks(data: ComplexArray, threads: int) -> FloatArray:
-    """Largest |real| or |imaginary| part of each trace (ping, channel); not finite where a trace is not."""
+def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
+    """As native.peaks."""
     traces = data if data.ndim == 3 else data[:, None, :]
+    channels = traces.shape[1]
     found = np.zeros(traces.shape[:2])
 
     def measure(ping: int) -> None:
         for part in (traces[ping].real, traces[ping].imag):
-            np.maximum(found[ping], np.maximum(part.max(axis=-1), -part.min(axis=-1)), out=found[ping])
+            whole = np.maximum(part.max(axis=-1), -part.min(axis=-1))
+            for channel in range(channels):
+                most, flat = whole[channel], ping * channels + channel
+                if np.isfinite(most):
+                    read = part[channel, begin[flat] : end[flat]]
+                    most = max(read.max(initial=0), -read.min(initial=0))
+                # of a NaN and a number either may come first
+                found[ping, channel] = max(found[ping, channel], most) if np.isfinite(most) else np.inf
 
     pool.run(measure, traces.shape[0], threads)
     return found
@@ -213,7 +221,8 @@ def accumulate(
             out = np.zeros((blocks.shape[0], width), dtype=complex_kind)
             if own is not None:
                 lattice, axes = own[tile.left : tile.left + out.size].reshape(*out.shape, -1), np.empty(0)
-            terms = _numba.sum_tile(
+            terms = pool.call(
+                _numba.sum_tile,
                 coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, places(width, kind), nodes,
                 fit, half, sines, cosines, pairs, lattice, axes, out,
             )  # fmt: skip
@@ -224,10 +233,12 @@ def accumulate(
             else:
                 image[tile.first : tile.last, tile.left : tile.right] += out.reshape(-1)[:pixels]
 
-        def tick(done: int, number: int = number) -> None:
-            assert progress is not None
-            progress((number + done / len(tiles)) / len(batches))
+        tick = None
+        if (report := progress) is not None:
 
-        pool.run(add, len(tiles), threads, tick if progress is not None else None)
+            def tick(done: int, number: int = number, report: Callable[[float], None] = report) -> None:
+                report((number + done / len(tiles)) / len(batches))
+
+        pool.run(add, len(tiles), threads, tick)
         summed += time.perf_counter() - now
     return Totals(prepared, summed, int(counted.sum()))

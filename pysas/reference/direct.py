@@ -89,6 +89,12 @@ def exact(
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
     _require_finite(echoes)
+    peak = max(float(np.max(np.abs(part))) for part in (echoes.data.real, echoes.data.imag))
+    if peak > 0 and not 1e-100 < peak < 1e100:  # their squares are no numbers, those of others of the same shape are
+        shift = int(np.frexp(peak)[1])
+        parts = [np.ldexp(np.asarray(part, dtype=np.float64), -shift) for part in (echoes.data.real, echoes.data.imag)]
+        found = exact(echoes.replace(data=parts[0] + 1j * parts[1]), grid, pixels, weights)
+        return np.ldexp(found[0].view(np.float64), shift).view(np.complex128), np.ldexp(found[1], shift)
     factors = _factors(weights, echoes)
     points = grid.coordinates(pixels)
     shape = grid.shape if pixels is None else (len(points),)

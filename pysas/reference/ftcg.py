@@ -222,7 +222,7 @@ def _in_parts(frame: Frame, omega: Gridding, near: list[Row], threads: int) -> t
         psi = (first[around][:, rows[0], None] * second[around][:, None, rows[1]]).reshape(around.size, flat.size)
         psi *= frame.root[around, None]
         inverse = psi[np.searchsorted(around, mine)].T.copy()
-        ill_posed[number] = _ridge_solve(psi, inverse, max(frame.rcond, _RIDGE) ** 2)
+        ill_posed[number] = _pool.call(_ridge_solve, psi, inverse, max(frame.rcond, _RIDGE) ** 2)
         inverse *= frame.root[mine]
         for j, column in zip(mine, _least_squares(sparse, flat, inverse, [near[j] for j in mine]), strict=True):
             columns[j] = column

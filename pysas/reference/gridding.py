@@ -24,7 +24,7 @@ from scipy.sparse.linalg import LinearOperator
 from scipy.spatial import QhullError, Voronoi
 from scipy.special import i0e, wofz
 
-from pysas import _checks
+from pysas import _checks, _pool
 from pysas._checks import FloatArray
 
 Complex = npt.NDArray[np.complex128]
@@ -121,7 +121,8 @@ class KaiserBessel:
 
     @property
     def _beta(self) -> float:
-        assert self.beta is not None
+        if self.beta is None:
+            raise _checks.InternalError("beta: not set")
         return self.beta
 
     def values(self, x: npt.ArrayLike) -> FloatArray:
@@ -199,12 +200,19 @@ class Gridding(LinearOperator):
 
     def _matvec(self, x: npt.NDArray[Any]) -> Complex:
         out = np.zeros(self._sizes, dtype=np.complex128)
-        spread(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).ravel(), out)
+        _pool.call(spread, self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).ravel(), out)
         return out.ravel()
 
     def _rmatvec(self, x: npt.NDArray[Any]) -> Complex:
         out = np.empty(len(self.points), dtype=np.complex128)
-        gather(self._first, self._weights[0], self._weights[1], np.asarray(x, dtype=np.complex128).reshape(self._sizes), out)
+        _pool.call(
+            gather,
+            self._first,
+            self._weights[0],
+            self._weights[1],
+            np.asarray(x, dtype=np.complex128).reshape(self._sizes),
+            out,
+        )
         return out
 
     @cached_property

@@ -165,7 +165,7 @@ class March:
     def _row(self, w: Block, part: slice, steps: Steps, s: int, inside: slice, out: Complex) -> None:
         """Sum over frequencies at t = 0, with the plane wave put back."""
         cycles = self.frequency[part] * steps.time[s]
-        gather(w[inside], np.exp(2j * np.pi * (cycles - np.rint(cycles))), out)
+        _pool.call(gather, w[inside], np.exp(2j * np.pi * (cycles - np.rint(cycles))), out)
 
     def _screen(self, length: float, speed: FloatArray, part: slice, dtype: np.dtype[Any]) -> Block:
         """Half a step's turn by what 1/c differs from its mean over the columns (Strang splitting)."""
@@ -182,13 +182,13 @@ class Solver:
 
     def prepare(self, a: Complex) -> None:
         """Factorise for a (frequency,)."""
-        factorise(a, self.g)
+        _pool.call(factorise, a, self.g)
         self.r[:] = a.conj() / a
         self.s[:] = (1 - a.conj() / a) / a
 
     def step(self, w: Block) -> None:
         """One Crank-Nicolson step in place."""
-        step(w, self.y, self.g, self.r, self.s)
+        _pool.call(step, w, self.y, self.g, self.r, self.s)
 
 
 # Kernels: they trust their arguments.

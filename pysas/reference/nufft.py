@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pysas import _checks
+from pysas import _checks, _pool
 from pysas._checks import FloatArray
 from pysas.reference.frames import finite_samples
 from pysas.reference.gridding import Complex, KaiserBessel, gather, spread, taps
@@ -107,7 +107,7 @@ def _two_griddings(k: FloatArray, values: Complex, x: FloatArray, accuracy: floa
     centred = values * np.exp(1j * (k_in @ x0))
     for axis in range(2):
         centred = centred / window.values(k_in[:, axis] * spacing[axis] / np.pi)
-    spread(first, weights[0], weights[1], centred, grid)
+    _pool.call(spread, first, weights[0], weights[1], centred, grid)
     grid = scipy.fft.fftshift(scipy.fft.ifft2(scipy.fft.ifftshift(grid), norm="forward", overwrite_x=True))
     for axis, size in enumerate(sizes):
         place = (np.arange(size) - size // 2) / (size / 2)
@@ -116,5 +116,5 @@ def _two_griddings(k: FloatArray, values: Complex, x: FloatArray, accuracy: floa
         grid *= factor[:, None] if axis == 0 else factor
     out = np.empty(len(x), dtype=np.complex128)
     first, weights = taps(x_in / spacing + start, window)
-    gather(first, weights[0], weights[1], grid, out)
+    _pool.call(gather, first, weights[0], weights[1], grid, out)
     return np.asarray(out * np.exp(1j * (x @ k0)))

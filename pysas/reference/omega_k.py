@@ -112,8 +112,8 @@ def omega_k(
         mapped = np.empty((len(spectra), stolt.size), dtype=work.dtype)
         for row, k_u in enumerate(strip.k_u[part]):
             if strip.kept[part.start + row]:
-                _shift(spectra[row], filters, *stolt.shift_arguments(k_u))
-                _map(spectra[row], mapped[row], stolt.taps, summed, *stolt.map_arguments(k_u))
+                _pool.call(_shift, spectra[row], filters, *stolt.shift_arguments(k_u))
+                _pool.call(_map, spectra[row], mapped[row], stolt.taps, summed, *stolt.map_arguments(k_u))
             else:
                 mapped[row] = 0
         mapped = scipy.fft.ifft(mapped, axis=1, overwrite_x=True, workers=1)[:, : stolt.ranges.size]

@@ -151,7 +151,8 @@ def one_way(
     image = np.zeros((line.z.size, len(line.data)), dtype=echoes.dtype)
     choices: dict[str, Any] = {"angle": angle, "form": form, "scheme": scheme, "correction": correction}
     for (first, part), made in zip(parts, found, strict=True):
-        assert made is not None
+        if made is None:
+            raise _checks.InternalError("a part of the track was not migrated")
         image[:, first : first + len(part.data)] += made[0]
         choices |= made[1]
     if summed:

@@ -118,7 +118,8 @@ class _State:
         real = self.u.real.dtype
         outflow = np.empty_like(inflow)
         a, b = parts[0], parts[-1]
-        _tile(
+        _pool.call(
+            _tile,
             self.u.view(real), self.w.view(real), self.q.view(real), self.y.view(real), inflow.view(real),
             outflow.view(real), a.numbers.astype(real), a.inverse.astype(real), b.numbers.astype(real),
             b.inverse.astype(real), self.done % 2, first,

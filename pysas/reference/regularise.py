@@ -137,7 +137,8 @@ def enhance(
     scale = 3 * np.sqrt(2) * (sd or 1.0) if gradient is None else _checks.number("gradient", gradient, positive=True)
     problem = _Problem(data / scale, kind, delta, tolerance, iterations)
     if beta is None:
-        assert sd is not None
+        if sd is None:
+            raise _checks.InternalError("noise: not known")
         beta = _discrepancy(problem, sd / scale)
     found, energy, count, converged = problem.solve(_checks.number("beta", beta, positive=True))
     return Enhanced(found * scale, float(beta), energy * scale**2, count, converged)
