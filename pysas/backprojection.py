@@ -242,6 +242,11 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     return Image(image, grid, report, scene.fc, scene.c)
 
 
+def _partly(progress: Callable[[float], None] | None, done: float, more: float) -> Callable[[float], None] | None:
+    """What tells `progress` of a part of the work, `more` of it after what is `done`."""
+    return None if progress is None else lambda share: progress(done + more * share)
+
+
 def _add_each(
     plan: plans.Plan,
     order: npt.NDArray[np.int64],
@@ -263,14 +268,7 @@ def _add_each(
         view_angles.fill(scene, frame.points(0, pixels.size), order, own, plan.threads, plan.backend)
         weighed = time.perf_counter() - clock
         part = np.zeros((1, pixels.size), dtype=target.dtype)
-        tick = None
-        if progress is not None:
-
-            def tick(share: float, done: int = begin, more: int = pixels.size) -> None:
-                assert progress is not None
-                progress((done + more * share) / wanted.size)
-
-        some = add(frame, replace(survey, own=own), part, tick)
+        some = add(frame, replace(survey, own=own), part, _partly(progress, begin / wanted.size, pixels.size / wanted.size))
         target[0, pixels] = part[0]
         prepared, summed = totals.prepare_seconds + some.prepare_seconds, totals.sum_seconds + weighed + some.sum_seconds
         totals = Totals(prepared, summed, totals.terms + some.terms)

@@ -6,6 +6,8 @@ import functools
 import math
 
 import numpy as np
+import numpy.typing as npt
+import scipy.optimize
 from numpy.polynomial import Chebyshev, Polynomial
 
 from pysas._checks import FloatArray
@@ -110,3 +112,19 @@ def running_error(terms: int, sums: int) -> float:
     simulations of equal random terms it was wrong by 0.17 (rms) to 0.48 terms 2^-24. Numba has four sums a part.
     """
     return terms * sums * 2.0**-25
+
+
+def ringing(distance: npt.ArrayLike, band: float) -> FloatArray:
+    """Bound of what W makes of a record's end `distance` samples away, relative to the samples there.
+
+    W's impulse response falls as 11^2/(pi d^3) = 39/d^3. Of |f| <= band it leaves the more the farther band is from 1/2.2:
+    about 1/(1/2.2 - band) samples beside the end add up, without relation rms sqrt(1 + d/5) for d of them.
+    """
+    d = np.maximum(distance, 1.0)
+    layer = 1 / np.maximum(1 / 2.2 - band, 1 / d)
+    return np.asarray(np.minimum(0.5, 39 / d**3 * np.sqrt(1 + layer / 5)))
+
+
+def hushed(error: float, band: float) -> float:
+    """Samples from a record's end at which what rings of samples there is at most `error` of them."""
+    return float(scipy.optimize.brentq(lambda d: float(ringing(d, band)) - error, 1.0, 1e7, rtol=1e-3))

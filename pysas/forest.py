@@ -39,7 +39,8 @@ PAIRS = 1 << 18  # of traces and tiles at a time
 class Layout:
     """How a tree is cut: groups of at most `length` m, in parts of parts; taps; `spare` of sampling.
 
-    `clear`: slant range (m) that nodes must have from the centre of the longest group, `apart` from those of its parts.
+    `clear`: slant range (m) that nodes must have from the centre of the longest group, `apart` from those of its parts; `ends`:
+    samples that a place must lie inside of records.
     """
 
     length: float
@@ -48,6 +49,7 @@ class Layout:
     spare: float
     clear: float
     apart: float
+    ends: float
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,8 @@ def _fates(
         read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
     read &= members.distances(middle) - radius - reach >= layout.apart
     some = np.flatnonzero(active)
-    inside, heard = _within(scene, order, middle[some], radius[some], reach)
+    ends = layout.ends * scene.c / scene.fs + 2 * layout.taps.reach * step
+    inside, heard = _within(scene, order, middle[some], radius[some], reach, ends)
     read[some] &= inside
     direct = np.zeros_like(active)
     direct[some] = heard & ~read[some]
@@ -191,16 +194,18 @@ def _fates(
 
 
 def _within(
-    scene: Scene, order: npt.NDArray[np.int64], middle: FloatArray, radius: FloatArray, reach: float
+    scene: Scene, order: npt.NDArray[np.int64], middle: FloatArray, radius: FloatArray, reach: float, ends: float
 ) -> tuple[BoolArray, BoolArray]:
-    """Which balls about pixels lie, with `reach` m around them, inside the records of all traces `order`, and which inside any.
+    """Which balls about pixels lie, with `reach` m around them, inside the records of all traces `order`, and themselves
+    `ends` m of path inside; and which inside any.
 
-    Those that are sure to, by balls about all sensors; of the others some traces tell most, and all traces the rest.
+    Those that are sure to, by boxes about all sensors; of the others some traces tell most, and all traces the rest.
     """
     g, last = scene.geometry[order], scene.n_sample - 1
+    more = np.maximum(2 * reach, ends)
     boxes = [(g[:, k : k + 3].min(axis=0), g[:, k : k + 3].max(axis=0)) for k in (0, 3)]
     path = sum(np.linalg.norm(middle - (low + high) / 2, axis=1) for low, high in boxes)
-    spread = 2 * (radius + reach) + sum(float(np.linalg.norm(high - low)) for low, high in boxes) / 2
+    spread = 2 * radius + more + sum(float(np.linalg.norm(high - low)) for low, high in boxes) / 2
     speed = float(np.sqrt(np.max(np.sum(g[:, 6:9] ** 2, axis=1))))
     earliest = ((path - spread) / (scene.c + speed) - g[:, 12].max()) * scene.fs
     latest = ((path + spread) / (scene.c - speed) - g[:, 12].min()) * scene.fs
@@ -217,7 +222,7 @@ def _within(
         t = (g[some] if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
         # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
         there, back = (np.sqrt(sum((middle[left, k] - t[..., i + k]) ** 2 for k in range(3))) for i in (0, 3))
-        speeds, widths = np.sqrt(np.sum(t[..., 6:9] ** 2, axis=-1)), 2 * (radius[left] + reach)
+        speeds, widths = np.sqrt(np.sum(t[..., 6:9] ** 2, axis=-1)), 2 * radius[left] + more
         low = ((there + back - widths) / (scene.c + speeds) - t[..., 12]) * scene.fs
         high = ((there + back + widths) / (scene.c - speeds) - t[..., 12]) * scene.fs
         inside[left] &= np.all((low >= 0) & (high <= last), axis=0)

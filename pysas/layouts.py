@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.optimize
 
-from pysas import subapertures
+from pysas import bounds, subapertures
 from pysas._checks import FloatArray
 from pysas.costs import tree_ns
 from pysas.engine.tree import Taps
@@ -20,7 +20,7 @@ from pysas.scene import Scene
 if TYPE_CHECKING:
     from pysas.backprojection import Frame
 
-MERGE = 0.1  # of the error of delays in leaves, for each merge
+HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as taps fail slowly beyond their band
 
 
 def _track(scene: Scene) -> FloatArray:
@@ -99,7 +99,7 @@ def cheapest(
     best: tuple[float, Layout, float] | None = None
     for view in _views(scene, frame):
         for fans, taps in kinds:
-            layout = Layout(view.length, fans, taps, spare, 0.0, 0.0)
+            layout = Layout(view.length, fans, taps, spare, 0.0, 0.0, 0.0)
             trees = _seconds(scene, view, layout, runs)
             cost = trees + (1 - view.served) * direct
             if best is None or cost < best[0]:
@@ -130,20 +130,22 @@ def _seconds(scene: Scene, view: _View, layout: Layout, runs: str) -> float:
     return float(1e-9 * view.groups * (work + scene.pixels * view.served * read))
 
 
-def cleared(scene: Scene, layout: Layout, height: float, error: float) -> Layout:
-    """A layout with the slant ranges that its nodes must have, whose sensors stand at most `height` up.
+def cleared(scene: Scene, layout: Layout, height: float, error: float, merge: float, ends: float) -> Layout:
+    """A layout with the slant ranges that its nodes must have, whose sensors stand at most `height` up, and its distance from
+    records' ends.
 
-    `error` : for the delays along leaves' rays; MERGE of it for each merge, whose children lie off their parent's centre.
+    `error` : for the delays along leaves' rays; `merge` : for each merge, whose children lie off their parent's centre;
+    `ends` : for what a record's end rings with beyond the band that nodes hold.
     """
     heard = scene.geometry[scene.heard]
     baseline = float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1)))
     extents = layout.length / np.cumprod([1, *layout.fans])
-    away = [
-        _clear(scene, height, (extent - part) / 2, layout.taps.rate, MERGE * error)
-        for extent, part in itertools.pairwise(extents)
-    ]
+    away = [_clear(scene, height, (extent - part) / 2, layout.taps.rate, merge) for extent, part in itertools.pairwise(extents)]
     away.append(_clear(scene, height, (extents[-1] + baseline) / 2, layout.taps.rate, error))
-    return replace(layout, clear=away[0], apart=max(away[1:], default=0.0))
+    held = layout.spare * scene.band >= HELD
+    return replace(
+        layout, clear=away[0], apart=max(away[1:], default=0.0), ends=0.0 if held else bounds.hushed(ends, scene.band)
+    )
 
 
 def _clear(scene: Scene, height: float, reach: float, rate: float, error: float) -> float:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pysas import backprojection
+from pysas import backprojection, bounds
 from pysas._checks import ComplexArray, FloatArray
 from pysas.choices import WIDE_ERROR, choose, choose_for_leaves
 from pysas.engine import native, summation
@@ -81,7 +81,7 @@ def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: f
             # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them.
             # Ends about as bright as what pixels read are in the tree's own bounds
             brighter = np.maximum(ends[side, some.trace] - 10 * own**2, 0)
-            squares += brighter * ringing(np.maximum(distance, reach), plan.scene.band) ** 2
+            squares += brighter * bounds.ringing(np.maximum(distance, reach), plan.scene.band) ** 2
         wrong = TREE * math.hypot(plan.choices.errors["sub-images"] * excess, math.sqrt(np.mean(squares)))
         if wrong > (TREE_EXCESS * plan.budget - plan.choices.predicted_error) * own:
             plan = _direct(plan)
@@ -129,17 +129,6 @@ def terms_of(plan: Plan) -> Terms:
     return plan.terms
 
 
-def ringing(distance: npt.NDArray[np.int64], band: float) -> FloatArray:
-    """Bound of what W makes of a record's end `distance` samples away, relative to the samples there.
-
-    W's impulse response falls as 11^2/(pi d^3) = 39/d^3. Of |f| <= band it leaves the more the farther band is from 1/2.2:
-    about 1/(1/2.2 - band) samples beside the end add up, without relation rms sqrt(1 + d/5) for d of them.
-    """
-    d = np.maximum(distance, 1.0)
-    layer = 1 / np.maximum(1 / 2.2 - band, 1 / d)
-    return np.asarray(np.minimum(0.5, 39 / d**3 * np.sqrt(1 + layer / 5)))
-
-
 def _ends(plan: Plan, data: _Data, some: Terms) -> FloatArray:
     """Twice the mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
     n, number = plan.scene.n_sample, np.flatnonzero(data.used)
@@ -182,7 +171,7 @@ def _measured(plan: Plan, data: _Data, some: Terms, weight: FloatArray, ends: Fl
         if c.n_fft:  # what is not cut away is read as it is, and comes round behind the other end
             kept = within[side][some.trace] if c.taper else True
             distance = np.where(kept, c.n_fft - distance, distance)
-        squares += ends[side, some.trace] * ringing(distance, scene.band) ** 2
+        squares += ends[side, some.trace] * bounds.ringing(distance, scene.band) ** 2
     if c.n_fft:
         number = np.flatnonzero(data.used)
         middle = np.full(number.size, scene.n_sample // 2)

@@ -40,6 +40,8 @@ SHARE_LEAVES = 0.35
 SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
 SHARE_LIT = 0.3  # of tol, at most, for what these change where views come in and go at beams' edges
+SHARE_POSITIONS = 0.03  # of tol, for polynomials of positions in merges
+SHARE_ENDS = 0.2  # of tol, for what records' ends ring with beyond the band of sub-images; it adds to these as squares do
 SHARE_RELIEF = 0.2  # of tol, for pixels read off the planes of their sub-images, where any are
 FARTHEST = 1e9  # wavelengths: beyond it sub-images have more nodes than memory holds, and float64 loses 1e-5 anyway
 TREE_TOL = 3e-5  # below it float32 sub-images would round too much
@@ -52,6 +54,7 @@ SPARE = 1.05  # sampling beyond the band's own limit, which a short group's band
 FINEST = 8  # nodes per sample, at most
 LONGER = "a tree would take longer"
 FANS = ((), (2,), (4,), (4, 2), (4, 4), (4, 4, 2), (4, 4, 4), (4, 4, 4, 2), (4, 4, 4, 4))
+MOST_MERGES = max(map(len, FANS))
 
 
 @_checks.usual_errors
@@ -322,7 +325,7 @@ def _site(
         return None, "view-angle weights change fast along the rays of sub-images"
     share = SHARE_LEAVES * tol
     flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])
-    relief = 0.05 * tol if flat else SHARE_RELIEF * tol
+    relief = 0.0 if flat else SHARE_RELIEF * tol
     block, near = 0, 0.0
     if scene.lines is not None:
         nodes = native.NODES["float32"] if backend == "cpp" else NODES
@@ -337,8 +340,10 @@ def _site(
     for fans in FANS:
         for width, rate, half in TAPS:
             taps = tree.taps(width, rate, half)
-            positions = layouts.MERGE * SHARE_PHASE * share * len(fans)
-            if bounds.tree_error(taps, len(fans) + 1) <= tol - share - relief - positions:
+            if (
+                math.hypot(bounds.tree_error(taps, len(fans) + 1), SHARE_ENDS * tol)
+                <= tol * (1 - SHARE_POSITIONS) - share - relief
+            ):
                 kinds.append((fans, taps))
                 break
     if not kinds:
@@ -349,7 +354,9 @@ def _site(
         return None, "pixels too near the track"
     if found[1] > most:
         return None, LONGER
-    layout = layouts.cleared(scene, found[0], height, SHARE_PHASE * share)
+    layout = layouts.cleared(
+        scene, found[0], height, SHARE_PHASE * share, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol
+    )
     image = sheets(frame)
     part, planes, groups = prospect(scene, image, layout, near, relief)
     seconds = found[1] * part * planes + direct * (1 - part)
@@ -363,7 +370,7 @@ def _grow(
     error = SHARE_PHASE * site.share
 
     def grown(layout: Layout, least: Fraction) -> Forest | None:
-        layout = layouts.cleared(scene, layout, site.height, error)
+        layout = layouts.cleared(scene, layout, site.height, error, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol)
         return grow(scene, site.frame, site.image, layout, site.near, site.relief, least, whole, backend == "cpp")
 
     layout = site.layout
@@ -383,9 +390,10 @@ def _grow(
     if forest is None or choices is None:
         return None, "no pixel far enough from all groups of pings, or too steep a relief"
     merges = len(layout.fans)
-    errors = choices.errors | {"sub-images": bounds.tree_error(layout.taps, merges + 1)}
+    ends = SHARE_ENDS * tol if forest.layout.ends else 0.0
+    errors = choices.errors | {"sub-images": math.hypot(bounds.tree_error(layout.taps, merges + 1), ends)}
     if merges:
-        errors["positions"] = layouts.MERGE * error * merges
+        errors["positions"] = SHARE_POSITIONS * tol * merges / MOST_MERGES
     if not all(sheet.flat for sheet in forest.sheets):
         errors["relief"] = site.relief
     forest.choices = dataclasses.replace(choices, errors=errors)

@@ -179,7 +179,7 @@ def spacing(
     height = members.centre[2] - plane
     near, inner = (float(ground(np.array(slants[0] - more), height)) for more in (0, taps.reach * step))
     grounds = max(inner, near / 2), float(ground(np.array(slants[1] + taps.reach * step), height))
-    beam = outer = along = 0.0
+    beam, outer, along = 0.0, 1e-3, 0.0
     for attempt in range(4):
         found = bands(members, geometry, medium, plane, (angles[0] - outer, angles[1] + outer), grounds)
         sway, across = float(np.cbrt(found.bend / 2)), max(found.across, 1e-9)

@@ -388,7 +388,7 @@ py::tuple plant_group(const Array<double>& geometry, const Array<double>& centre
     const std::vector<Point> places(point, point + geometry.shape(0));
     const auto* reading = reinterpret_cast<const Reading*>(readings.data());
     std::vector<Reading> reads(reading, reading + readings.shape(0));
-    Layout layout{0, fans, {}, 1, 0, 0};
+    Layout layout{0, fans, {}, 1, 0, 0, 0};
     layout.taps.rate = rate;
     layout.taps.taps.count = taps;
     layout.taps.taps.half = half;

@@ -60,7 +60,8 @@ struct Planter {
             bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
             read = read && group.distance(middle) - radius - reach >= layout.apart;
             bool heard = false;
-            const double spread = 2 * (radius + reach);
+            const double ends = layout.ends * model.c / model.fs + 2 * taps * step;
+            const double spread = 2 * radius + std::max(2 * reach, ends);
             for (const std::int64_t i : group.traces) {
                 if (heard && !read) break;
                 const Trace& trace = geometry.traces[i];

@@ -21,7 +21,11 @@ struct Choice {
 };
 constexpr Choice choices[] = {{6, 1.2, 8},  {6, 1.3, 8},   {6, 1.4, 8},  {6, 1.45, 8}, {6, 1.5, 8},
                               {8, 1.4, 10}, {8, 1.45, 10}, {8, 1.5, 10}, {8, 1.6, 10}, {8, 1.75, 10}};
-constexpr double merge = 0.1;   // of the error of delays in leaves, for each merge
+constexpr double share_positions = 0.03;  // of tol, for polynomials of positions in up to so many merges
+// of tol, for what records' ends ring with beyond the band of sub-images; it adds to these as squares do
+constexpr double share_ends = 0.2;
+constexpr double held = 0.45;  // cycles a sample: nodes for as much hold all that W passes, as taps fail slowly
+constexpr int most_merges = 4;
 constexpr double spare = 1.05;  // sampling beyond the band's own limit, which a short group's band overlaps a little
 const std::vector<std::vector<int>> fans = {{},        {2},       {4},          {4, 2},      {4, 4},
                                             {4, 4, 2}, {4, 4, 4}, {4, 4, 4, 2}, {4, 4, 4, 4}};
@@ -193,6 +197,18 @@ double clear_of(const Geometry& geometry, double height, double reach, double ra
     return high;
 }
 
+// Samples from a record's end at which what rings of samples there is at most `error` of them, see bounds.ringing in
+// Python.
+double hushed(double error, double band) {
+    double d = 1;
+    const auto rings = [&] {
+        const double layer = 1 / std::max(1 / 2.2 - band, 1 / d);
+        return std::min(0.5, 39 / (d * d * d) * std::sqrt(1 + layer / 5));
+    };
+    while (rings() > error) d *= 1.01;
+    return d;
+}
+
 }  // namespace
 
 Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, double tol) {
@@ -205,12 +221,14 @@ Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, doub
     const double error = share_drift * share_leaves * tol;
     std::vector<double> away;
     for (const int fan : layout.fans) {
-        away.push_back(clear_of(geometry, height, extent * (1 - 1.0 / fan) / 2, layout.taps.rate, merge * error));
+        away.push_back(clear_of(geometry, height, extent * (1 - 1.0 / fan) / 2, layout.taps.rate,
+                                share_positions / most_merges * tol));
         extent /= fan;
     }
     away.push_back(clear_of(geometry, height, (extent + apart) / 2, layout.taps.rate, error));
     layout.clear = away.front();
     layout.apart = away.size() > 1 ? *std::max_element(away.begin() + 1, away.end()) : 0;
+    layout.ends = layout.spare * geometry.band < held ? hushed(share_ends * tol, geometry.band) : 0;
     return layout;
 }
 
@@ -225,12 +243,12 @@ std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame
         const TapDesign* taps = nullptr;
         for (std::size_t i = 0; i < std::size(choices) && !taps; ++i) {
             if (i == designs.size()) designs.push_back(design_taps(choices[i].count, choices[i].rate, choices[i].half));
-            const double merges = merge * share_drift * share_leaves * static_cast<double>(parts.size());
-            if (tree_error(designs[i], stages) <= (1 - share_leaves - 0.05 - merges) * tol) taps = &designs[i];
+            const double error = std::hypot(tree_error(designs[i], stages), share_ends * tol);
+            if (error <= (1 - share_leaves - share_positions) * tol) taps = &designs[i];
         }
         if (!taps) continue;
         for (const double longest : lengths) {
-            const Layout layout{longest, parts, *taps, spare, 0, 0};
+            const Layout layout{longest, parts, *taps, spare, 0, 0, 0};
             const double cost = estimate(layout);
             if (cost >= cheapest) continue;
             cheapest = cost;

@@ -84,7 +84,4 @@ class Plan {
     std::optional<Forest> forest_;
 };
 
-// Coefficients in turns^2 of sin(2 pi t)/t (`terms`) and cos(2 pi t) (one more) on |t| <= 1/2, and their error.
-double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine);
-
 }  // namespace pysas

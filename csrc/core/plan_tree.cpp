@@ -7,6 +7,7 @@
 #include "core/factorised.hpp"
 #include "core/layouts.hpp"
 #include "core/plan.hpp"
+#include "core/polynomials.hpp"
 
 namespace pysas {
 namespace {

@@ -1,4 +1,4 @@
-// From a polynomial's values to its coefficients, once for filters, phases and delays.
+// From a polynomial's values to its coefficients, for filters, phases and delays.
 #pragma once
 
 #include <cstddef>
@@ -19,5 +19,8 @@ void monomials(const std::vector<Number>& at, std::vector<Number>& values) {
         for (std::size_t q = j; q + 1 < n; ++q) values[q] -= at[j] * values[q + 1];
     }
 }
+
+// Coefficients in turns^2 of sin(2 pi t)/t (`terms`) and cos(2 pi t) (one more) on |t| <= 1/2, and their error.
+double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine);
 
 }  // namespace pysas

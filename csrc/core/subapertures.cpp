@@ -130,7 +130,7 @@ struct Grower {
         const Span grounds{std::max(ground_from(slant.low - reach * step, height), near / 2),
                            ground_from(slant.high + reach * step, height)};
         const double rate = layout.taps.rate;
-        double beam = 0, outer = 0;
+        double beam = 0, outer = 1e-3;
         for (int attempt = 0; attempt < 4; ++attempt) {
             const Bands bands = bands_of(group, geometry, plane,
                                          {direction + bearing.low - outer, direction + bearing.high + outer}, grounds);

@@ -97,12 +97,13 @@ struct Level {
 };
 
 // How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
-// nodes must have from the centre of the longest group, `apart` from those of its parts, m.
+// nodes must have from the centre of the longest group, `apart` from those of its parts, m; `ends`: samples that a
+// place must lie inside of records.
 struct Layout {
     double length;
     std::vector<int> fans;
     TapDesign taps;
-    double spare, clear, apart;
+    double spare, clear, apart, ends;
 };
 
 // A tree below one of the longest groups.
