@@ -92,8 +92,8 @@ def test_the_tree_keeps_tol_against_it(a, tols, monkeypatch):
     exact = analytic(x, a, True) * weights.sum()
     for tol in tols:
         image = pysas.ffbp(echoes, grid, tol=tol, weights=weights, threads=1)
-        # at a = 0.8 the track passes within 2 m: what lies near it is summed directly
-        assert image.report.factorised_share > (0.8 if a == 0.8 else 0.85)  # Numba: 0.89
+        # the track passes within 5 m, at a = 0.8 within 2 m: what lies near it is summed directly
+        assert image.report.factorised_share > 0.8  # 0.82 to 1
         # all of the error that the whole image is allowed might lie here
         allowed = tol * np.linalg.norm(image.data)
         found = image.data[np.ix_(inner, inner)]

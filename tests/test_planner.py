@@ -254,7 +254,7 @@ def test_trees_are_judged_before_they_are_grown(long):
     assert planes * groups == len(forest.trees)
 
 
-@pytest.mark.parametrize("corner", [0, 700])
+@pytest.mark.parametrize("corner", [0, 600])
 def test_trees_are_judged_by_some_of_the_tiles_that_are_wanted(long, corner, monkeypatch):
     """Wherever a mask leaves them: a few of many."""
     mask = np.zeros((1024, 1024), dtype=bool)
