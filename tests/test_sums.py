@@ -56,16 +56,16 @@ def test_sums_of_many_batches_keep_tol(backend, monkeypatch):
 @pytest.mark.cpp
 def test_leaves_of_very_many_traces_keep_tol():
     """48 places, 400 pings at each: a tree's leaves are sums of thousands."""
-    samples, fs, fc, times = 300, 40e3, 1e5, 400
+    samples, fs, fc, times = 700, 40e3, 1e5, 400
     tx = np.stack([np.arange(48) * 0.02, np.zeros(48), np.zeros(48)], axis=1)
     target = np.array([0.3, 63.0, 0.0])
     tau = 2 * np.linalg.norm(target - tx, axis=1)[:, None] / C
-    t = 0.08 + np.arange(samples) / fs
+    t = 0.076 + np.arange(samples) / fs
     data = (np.exp(-(((t - tau) * fs / 3) ** 2)) * np.exp(-2j * np.pi * fc * tau + 1j)).astype(np.complex64)
 
     def echoes(repeats):
         place = np.repeat(tx, repeats, axis=0)
-        return pysas.Echoes(np.repeat(data, repeats, axis=0), fs=fs, fc=fc, tx=place, rx=place, c=C, t0=0.08, bandwidth=24e3)
+        return pysas.Echoes(np.repeat(data, repeats, axis=0), fs=fs, fc=fc, tx=place, rx=place, c=C, t0=0.076, bandwidth=24e3)
 
     grid = pysas.Grid.plane(np.arange(64) * 0.01, 62.5 + np.arange(64) * 0.01)
     exact, _ = pysas.reference.exact(echoes(1), grid)

@@ -297,7 +297,7 @@ def crossing_case(name, seed):
 
 
 @pytest.mark.filterwarnings("ignore:.*:UserWarning")  # a beam may light nothing
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 @pytest.mark.parametrize("name", CROSSING)
 def test_tracks_that_cross_themselves_keep_tol(name, seed, engine):
     echoes, grid, truth = crossing_case(name, seed)
