@@ -29,9 +29,6 @@ class InternalError(RuntimeError):
         super().__init__(f"{what}: a fault of pysas, not of its input: please report it with the call that raised it")
 
 
-_MOST_THREADS = 2**31 - 1  # what an int of C holds
-
-
 def number(name: str, value: Any, *, positive: bool = False, low: float | None = None, high: float | None = None) -> float:
     """Return `value` as a finite float, within (0, inf) or [low, high] where asked."""
     if value is np.ma.masked:

@@ -135,11 +135,16 @@ class _Out:
         for done in list(self.compiling):
             done.wait()
 
+    def forked(self) -> None:
+        """In a fork's child: threads that held the lock or compiled are the parent's; `_leaving` counts them as lost."""
+        self.lock = threading.Lock()
+        self.compiling.clear()
+
 
 _out = _Out()
 _leaving.join(_leaving.Part(_out.ask, lambda: _out.number))
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_out.settle)
+    os.register_at_fork(before=_out.settle, after_in_child=_out.forked)
 
 
 def run(task: Callable[[int], None], count: int, threads: int, tick: Callable[[int], None] | None = None) -> None:

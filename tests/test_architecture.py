@@ -179,6 +179,20 @@ def test_kernels_allocate_nothing() -> None:
     assert {name: found for name, text in kernels.items() if (found := allocations_in(text))} == {}
 
 
+def gil_releases(text: str) -> list[str]:
+    """What releases the GIL other than `Released`, whose threads stay outside while the interpreter ends."""
+    others = re.sub(r"\bclass Released \{.*?\n\};", "", code_of(text), flags=re.DOTALL)
+    return re.findall(r"\bgil_scoped_release\b|\bPyEval_SaveThread\b|\bPy_BEGIN_ALLOW_THREADS\b", others)
+
+
+def test_the_gil_is_released_in_one_way() -> None:
+    assert gil_releases("const py::gil_scoped_release gil;") and gil_releases("state_ = PyEval_SaveThread();")
+    assert not gil_releases("class Released {\n    Released() { state_ = PyEval_SaveThread(); }\n};\nconst Released gil;")
+    bind = sources("bind")
+    assert any("class Released {" in text for text in bind.values())
+    assert {name: found for name, text in bind.items() if (found := gil_releases(text))} == {}
+
+
 UNSAFE = re.compile(r"ffast-math|funsafe-math|Ofast|march=native|mcpu=native|fp:fast|float_control|GCC\s+optimize")
 
 
@@ -204,6 +218,33 @@ def test_numba_kernels_keep_ieee_arithmetic_and_leave_threads_to_the_caller() ->
     assert numba_misuse("@njit(fastmath=True)\ndef f(): ...") == ["fastmath=True"]
     assert numba_misuse("@njit(parallel=True)\ndef f(): ...") == ["parallel=True"]
     assert {name: found for name, text in MODULES.items() if (found := numba_misuse(text))} == {}
+
+
+def direct_calls(text: str) -> list[str]:
+    """Calls of Numba kernels from outside such: Ctrl-C waits for the compiler then, and a fork's child for its lock."""
+    tree = ast.parse(text)
+    kernels = {
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(d) for d in node.decorator_list)
+    }
+    names = {node.name for node in kernels}
+    found, left = [], [tree]
+    while left:
+        node = left.pop()
+        left += [child for child in ast.iter_child_nodes(node) if child not in kernels]
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            if name in names or re.search(r"(?:^|\.)_numba\w*\.\w+$", name):
+                found.append(name)
+    return found
+
+
+def test_numba_kernels_are_entered_through_the_pool() -> None:
+    assert direct_calls("@njit\ndef k(x): ...\ndef f():\n    k(1)") == ["k"]
+    assert direct_calls("_numba.k(1)") == ["_numba.k"] and direct_calls("pysas.engine._numba_tree.leaf(2)")
+    assert not direct_calls("@njit\ndef k(x): ...\n@njit(nogil=True)\ndef g():\n    k(1)\npool.call(k, 1)\n_numba.K + 1")
+    assert {name: found for name, text in MODULES.items() if (found := direct_calls(text))} == {}
 
 
 # Rule 3: one door to compiled code, one place for tol

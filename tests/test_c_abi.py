@@ -326,6 +326,43 @@ def test_ffbp_with_weights_mask_and_beam(library):
     assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
 
 
+@pytest.mark.parametrize("points", [False, True])
+def test_images_of_floats_are_rounded_once(library, points):
+    """Of many trees, or batches: as the image of the same samples in double."""
+    echoes, grid = straight(pings=512, samples=3500).replace(t0=2 * 4.0 / 1500), plane(96, 80, 26.0)
+    data = echoes.data.astype(np.complex64)
+    found, share = factorised(library, echoes.replace(data=data), grid, 3e-5, points)
+    double, _ = factorised(library, echoes.replace(data=data.astype(np.complex128)), grid, 3e-5, points)
+    assert share == (0 if points else 1)
+    assert np.array_equal(found, double.astype(np.complex64))
+
+
+def test_a_beam_that_reaches_every_pixel_is_none(library):
+    """From every ping, within a right angle of boresight: trees, and the same image."""
+    make, grid = CASES["straight"]
+    echoes = make()
+    boresight = np.tile([0.0, 1.0, 0.0], (len(echoes.tx), 1))
+    plain, share = factorised(library, echoes, grid, 1e-3)
+    assert share > 0.99
+    for half, trees in ((1.5, True), (np.pi / 2, True), (2.5, True), (0.1, False)):
+        shares = []
+
+        def lit(survey, lines, options, half=half):
+            survey.boresight, survey.beam_half_angle = boresight.ctypes.data, half
+            options.method = FFBP
+
+        found = image(library, echoes, grid, 1e-3, change=lit, shares=shares)
+        assert shares == [share if trees else 0] and np.array_equal(found, plain) == trees
+    boresight[5] *= -1  # behind one ping, whose beam reaches round it
+
+    def behind(survey, lines, options):
+        survey.boresight, survey.beam_half_angle = boresight.ctypes.data, 2.0
+        options.method = FFBP
+
+    shares = []
+    assert not np.array_equal(image(library, echoes, grid, 1e-3, change=behind, shares=shares), plain) and shares == [0]
+
+
 def test_ffbp_on_every_isa_and_thread_count(library):
     make, grid = CASES["moving, 6 receivers"]
     echoes = make()

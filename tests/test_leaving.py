@@ -56,6 +56,24 @@ def test_leaving_while_daemon_threads_image_is_quiet(backend):
     assert (result.returncode, result.stdout, result.stderr) == (0, "leaving\n", "")
 
 
+@pytest.mark.cpp
+def test_leaving_while_daemon_threads_compute_arcs_is_quiet():
+    """Every pixel's own, of an image in line with the track: nearly all of the time is theirs."""
+    code = """
+        ahead = pysas.Grid.plane(37 + np.arange(300) * 0.02, np.arange(-150, 150) * 0.02)
+        views = pysas.plan(echoes, ahead, method="backprojection", backend="cpp", weights="uniform-angle", threads=1)
+        assert views.scene.each
+        def work():
+            while True:
+                views(data)
+        threading.Thread(target=work, daemon=True).start()
+        time.sleep(0.5)
+        print("leaving")
+    """
+    result = subprocess.run(python(code), capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "leaving\n", "")
+
+
 def test_what_is_called_at_exit_may_still_image():
     code = """
         import atexit
@@ -183,6 +201,27 @@ def test_a_fork_waits_for_what_compiles(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     result = subprocess.run(python(code), capture_output=True, text=True, timeout=100, env=environment, check=False)
     assert (result.returncode, result.stdout) == (0, "child 2\nparent 0 True\n"), result.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forks_child_has_a_lock_of_its_own():
+    """Whoever held the parent's is not there; threads that were out are still counted, as lost."""
+    code = """
+        import os
+        out = pysas._pool._out
+        done = threading.Event()
+        done.set()
+        with out.lock:
+            out.number, out.compiling = 3, {done}
+            child = os.fork()
+            if child == 0:
+                print(out.lock.acquire(timeout=1), out.number, len(out.compiling), flush=True)
+                os._exit(0)
+            out.number, out.compiling = 0, set()
+        sys.exit(os.waitpid(child, 0)[1])
+    """
+    result = subprocess.run(python(code), capture_output=True, text=True, timeout=60, check=False)
+    assert (result.returncode, result.stdout) == (0, "True 3 0\n"), result.stderr
 
 
 def test_threads_that_are_away_are_waited_for(monkeypatch):

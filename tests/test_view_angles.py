@@ -9,6 +9,7 @@ from test_tolerance import engine
 import pysas
 from pysas import circular, planner, view_angles
 from pysas.engine import native
+from pysas.engine.arcs import arcs
 from pysas.scene import Scene
 
 UNIFORM = "uniform-angle"
@@ -383,3 +384,22 @@ def test_a_plan_tells_of_them():
     outside = pysas.Grid.plane([900.0, 901.0], [0.0])
     with pytest.warns(UserWarning, match="outside the recorded window"):
         assert not pysas.backproject(echoes, outside, weights=UNIFORM).data.any()
+
+
+def test_the_narrowest_beams_hold_what_kernels_take(engine):
+    """Edges a part in 10^4 from a point, which cosines of 2e-7 rad do not tell apart: of the views lit the mean is 1."""
+    rng = np.random.default_rng(3)
+    cosine = float(np.cos(2e-7))
+    limit = np.arcsin(np.sqrt((1 - cosine) * (1 + cosine)))
+    geometry = np.zeros((400, 15))
+    turn = np.sort(rng.uniform(0, 6, 400))
+    towards = -np.stack([np.cos(turn), np.sin(turn), 0.3 + 0 * turn], axis=1) / np.hypot(1, 0.3)
+    aside = np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1)
+    lit = rng.random(400) < 0.5
+    angle = limit * np.where(lit, 1 - 1e-4, 1 + 1e-4)
+    point = np.array([[1.25, -0.5, 0.75]])
+    geometry[:, :3] = geometry[:, 3:6] = point - 8 * towards
+    geometry[:, 9:12] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
+    found = np.empty((1, 400))
+    arcs(engine, geometry, 1, cosine, point, np.arange(400), found, 1)
+    np.testing.assert_allclose(np.mean(found[0, lit]), 1, rtol=1e-12)

@@ -126,7 +126,7 @@ py::array_t<double> squares_about(const py::array& data, const Array<std::int64_
     const auto call = [&](auto kind) {
         const auto traces = view<const decltype(kind), 3>(data);
         const Places places{trace.data(), place.data(), trace.size(), reach};
-        const py::gil_scoped_release gil;
+        const Released gil;
         mean_squares(traces, places, scale, to, threads, check);
     };
     if (data.itemsize() == 8)
@@ -256,7 +256,7 @@ py::array_t<std::uint64_t> view_arcs(const Array<double>& geometry, int channels
         if (to.shape[0] < points.shape(0) || to.shape[1] != order.size() || to.stride[0] != order.size() ||
             to.stride[1] != 1)
             throw py::value_error("arcs: out of (point, trace)");
-        const py::gil_scoped_release gil;
+        const Released gil;
         arcs(viewers, points.data(), points.shape(0), order.data(), order.size(), to.data, patterns, threads, check);
     };
     if (out.itemsize() == 4)

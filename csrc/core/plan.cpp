@@ -32,14 +32,29 @@ double distance(const double* a, const double* b) {
     return std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
 }
 
-// Traces that are summed in float before these sums are added up in double, see pysas/bounds.py.
-double longest_run(double tol) {
-    double run = 256;
-    while (run > 32 && run * 0x1p-25 > 0.1 * tol * (1 + 1e-9)) run /= 2;
-    return run;
+// Whether a box lies in every beam: its corners do, and beams up to a right angle off boresight are convex.
+bool all_lit(const std::vector<Trace>& traces, double cosine, const double low[3], const double high[3]) {
+    return std::all_of(traces.begin(), traces.end(), [&](const Trace& trace) {
+        for (int corner = 0; corner < 8; ++corner) {
+            double along = 0, square = 0;
+            for (int axis = 0; axis < 3; ++axis) {
+                const double away = (corner >> axis & 1 ? high : low)[axis] - trace.tx[axis];
+                along += away * trace.boresight[axis];
+                square += away * away;
+            }
+            if (!(along >= (std::max(cosine, 0.0) + 1e-9) * std::sqrt(square))) return false;
+        }
+        return true;
+    });
 }
 
 }  // namespace
+
+double longest_run(double tol) {
+    double run = 256;
+    while (run > 32 && run * 0x1p-25 > 0.05 * tol * (1 + 1e-9)) run /= 2;
+    return run;
+}
 
 Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options)
     : pings_(survey.n_ping),
@@ -170,6 +185,7 @@ void Plan::place(const pysas_survey& survey, const pysas_grid& grid) {
         if (survey.weights) weights_.emplace_back(survey.weights[i]);
     }
     kind_ = moving ? Kind::moving : together ? Kind::monostatic : Kind::stop_and_hop;
+    if (model_.cos_beam > -1 && all_lit(traces_, model_.cos_beam, low, high)) model_.cos_beam = -1;
     bound(low, high);
 }
 
@@ -327,13 +343,21 @@ void Plan::sum(const void* data, const std::int64_t* data_stride, void* image, c
             lines = {list.data(), {1, lines.shape[1]}, {lines.shape[1], 1}};
         }
     }
-    if constexpr (sizeof(Real) == 4) {
-        if (forest_)
-            sum_forest(from, lines, *scale);
-        else
-            sum_directly<Real>(from, lines, *scale);
+    const auto fill = [&](const auto& into) {
+        if constexpr (sizeof(Real) == 4) {
+            if (forest_) return sum_forest(from, into, *scale);
+        }
+        sum_directly<Real>(from, into, *scale);
+    };
+    if (sizeof(Sample) == sizeof(std::complex<float>) && wide()) {
+        std::vector<std::complex<double>> wider(static_cast<std::size_t>(lines.shape[0] * lines.shape[1]));
+        const View<std::complex<double>, 2> sums{wider.data(), {lines.shape[0], lines.shape[1]}, {lines.shape[1], 1}};
+        fill(sums);
+        for (std::int64_t i = 0; i < lines.shape[0]; ++i) {
+            for (std::int64_t j = 0; j < lines.shape[1]; ++j) lines(i, j) = static_cast<Sample>(sums(i, j));
+        }
     } else {
-        sum_directly<Real>(from, lines, *scale);
+        fill(lines);
     }
     using value = typename Sample::value_type;
     using limits = std::numeric_limits<value>;
@@ -431,20 +455,20 @@ Frame Plan::lines() const {
             count_};
 }
 
-template <typename Real, typename Sample>
-void Plan::sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const {
+// Whether the image is a sum of so many batches, or trees, that floats would round it too often: Plan.wide in
+// pysas/plans.py.
+bool Plan::wide() const {
+    const std::int64_t most = batch(sizeof(float)), all = static_cast<std::int64_t>(traces_.size());
+    const auto trees = forest_ ? static_cast<std::int64_t>(forest_->trees.size()) : 0;
+    return static_cast<double>((all + most - 1) / most + trees) > model_.run / 8;
+}
+
+template <typename Real, typename Sample, typename Pixel>
+void Plan::sum_directly(const View<const Sample, 3>& from, const View<Pixel, 2>& to, double scale) const {
     const auto all = static_cast<std::int64_t>(traces_.size()), most = std::min(all, batch(sizeof(Real)));
     Terms<Real> terms = this->terms<Real>();
     std::vector<Real> table(static_cast<std::size_t>(most * terms.trace_stride));
     terms.table = table.data();
-    // sums of many batches want an image in double as well
-    View<std::complex<double>, 2> wide{nullptr, {to.shape[0], to.shape[1]}, {to.shape[1], 1}};
-    std::vector<std::complex<double>> wider;
-    if (sizeof(Sample) == sizeof(std::complex<float>) &&
-        static_cast<double>(all) > model_.run / 4 * static_cast<double>(most)) {
-        wider.resize(static_cast<std::size_t>(to.shape[0] * to.shape[1]));
-        wide.data = wider.data();
-    }
     for (std::int64_t begin = 0; begin < all; begin += most) {
         const std::int64_t count = std::min(most, all - begin);
         const Tick tick = [&](double share) {
@@ -461,13 +485,7 @@ void Plan::sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>
         prepare(*kernels_, traces, filter_, table.data(), terms.plane_stride, threads_, {});
         terms.traces = traces_.data() + begin;
         terms.n_trace = count;
-        if (wider.empty())
-            add(*kernels_, terms, lines(), to, threads_, tick);
-        else if constexpr (sizeof(Real) == 4)
-            add(*kernels_, terms, lines(), wide, threads_, tick);
-    }
-    for (std::int64_t i = 0; i < to.shape[0] && !wider.empty(); ++i) {
-        for (std::int64_t j = 0; j < to.shape[1]; ++j) to(i, j) = static_cast<Sample>(wide(i, j));
+        add(*kernels_, terms, lines(), to, threads_, tick);
     }
 }
 

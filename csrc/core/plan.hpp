@@ -17,6 +17,9 @@
 
 namespace pysas {
 
+// Traces that are summed in float before these sums are added up in double, see pysas/bounds.py.
+double longest_run(double tol);
+
 class Plan {
   public:
     // Throws Error: argument, tolerance.
@@ -49,10 +52,11 @@ class Plan {
     void sum(const void* data, const std::int64_t* data_stride, void* image, const std::int64_t* image_stride) const;
     template <typename Sample>
     std::optional<double> scale(const View<const Sample, 3>& from) const;
-    template <typename Real, typename Sample>
-    void sum_directly(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const;
-    template <typename Sample>
-    void sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const;
+    bool wide() const;
+    template <typename Real, typename Sample, typename Pixel>
+    void sum_directly(const View<const Sample, 3>& from, const View<Pixel, 2>& to, double scale) const;
+    template <typename Sample, typename Pixel>
+    void sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& to, double scale) const;
     template <typename Real>
     Terms<Real> terms() const;
     Frame lines() const;

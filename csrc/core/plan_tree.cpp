@@ -109,6 +109,7 @@ void Plan::plant(double tol) {
         }
         if (!forest) return;
         if (use(*forest, tol)) {
+            model_.run = longest_run(share_leaves * tol);
             forest_ = std::move(forest);
             return;
         }
@@ -135,8 +136,8 @@ bool Plan::use(const Forest& forest, double tol) {
     return false;
 }
 
-template <typename Sample>
-void Plan::sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& to, double scale) const {
+template <typename Sample, typename Pixel>
+void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& to, double scale) const {
     const Forest& forest = *forest_;
     Tree tree{&forest.taps.taps, 2 * model_.fc / model_.c, {}, {}, nodes_};
     std::vector<double> sine, cosine;
@@ -228,6 +229,8 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Sample, 2>& 
 }
 
 template void Plan::sum_forest(const View<const std::complex<float>, 3>&, const View<std::complex<float>, 2>&,
+                               double) const;
+template void Plan::sum_forest(const View<const std::complex<float>, 3>&, const View<std::complex<double>, 2>&,
                                double) const;
 template void Plan::sum_forest(const View<const std::complex<double>, 3>&, const View<std::complex<double>, 2>&,
                                double) const;

@@ -54,8 +54,9 @@ enum {
     PYSAS_BACKPROJECTION = 0, /* every term of the sum by itself */
     PYSAS_FFBP = 1            /* through a tree of sub-apertures (fast factorised back-projection), within the same tol:
                                * faster for large images, not for small ones. Summed directly: pixels near the track or
-                               * across the ends of records or beams; all of an image that is a list of points or does
-                               * not lie on a horizontal plane (z = constant), and with tol below 3e-5 */
+                               * across the ends of records; all of an image that is a list of points or does not lie
+                               * on a horizontal plane (z = constant), with tol below 3e-5, and with a beam unless
+                               * the whole image lies in it, and within pi/2 of its boresight, from every ping */
 };
 
 typedef struct pysas_survey {

@@ -31,6 +31,7 @@ def _mixed(x):
 def _look(geometry, cos_beam, point, angle, seen, lit):
     """Angle of every view, whether it has one, and whether its beam holds the point; how many have."""
     count = 0
+    sine = np.sqrt((1 - cos_beam) * (1 + cos_beam))
     for i in range(geometry.shape[0]):
         g = geometry[i]
         tx, ty, tz = g[TX] - point[0], g[TX + 1] - point[1], g[TX + 2] - point[2]
@@ -41,8 +42,10 @@ def _look(geometry, cos_beam, point, angle, seen, lit):
         count += seen[i]
         a = np.arctan2(y, x)
         angle[i] = a + TURN if a < 0 else a
-        along = -(tx * g[BORESIGHT] + ty * g[BORESIGHT + 1] + tz * g[BORESIGHT + 2])
-        lit[i] = cos_beam <= -1.0 or along >= cos_beam * away
+        bx, by, bz = g[BORESIGHT], g[BORESIGHT + 1], g[BORESIGHT + 2]
+        across = np.sqrt((ty * bz - tz * by) ** 2 + (tz * bx - tx * bz) ** 2 + (tx * by - ty * bx) ** 2)
+        along = -(tx * bx + ty * by + tz * bz)
+        lit[i] = cos_beam <= -1.0 or across * cos_beam <= along * sine  # cosines lose the smallest
     return count
 
 

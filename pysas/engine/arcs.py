@@ -38,7 +38,7 @@ def arcs(
 
     def some(task: int) -> None:
         part = slice(task * rows, min((task + 1) * rows, len(points)))
-        _numba_arcs.arcs(geometry, channels, cos_beam, points[part], order, out[part], pattern[part])
+        pool.call(_numba_arcs.arcs, geometry, channels, cos_beam, points[part], order, out[part], pattern[part])
 
     pool.run(some, -(-len(points) // rows), threads)
     return pattern
