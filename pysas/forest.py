@@ -233,13 +233,13 @@ def _within(
 def _cut(scene: Scene, length: float) -> tuple[list[npt.NDArray[np.int64]], FloatArray]:
     """Traces of each of the longest groups, and all phase centres."""
     order = np.flatnonzero(scene.heard & (scene.weights != 0))
-    centres = subapertures.phase_centres(scene.geometry, _delay(scene))
+    centres = subapertures.phase_centres(scene.geometry, reception(scene))
     if not order.size:
         return [], centres
     return [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, length)], centres
 
 
-def _delay(scene: Scene) -> float:
+def reception(scene: Scene) -> float:
     """About what passes until an echo arrives, s, where receivers move."""
     return (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0
 
@@ -341,7 +341,7 @@ def _plant(
     One spacing for all grids: neighbours along a parent's ray are neighbours on a child's, and intervals of the tables.
     """
     step = scene.c * rate.denominator / (2 * scene.fs * rate.numerator)
-    delay = _delay(scene)
+    delay = reception(scene)
     medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs, delay)
     wider = copy.copy(scene)
     wider.first, wider.last = scene.first.copy(), scene.last.copy()

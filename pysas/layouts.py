@@ -14,7 +14,7 @@ from pysas import bounds, subapertures
 from pysas._checks import FloatArray
 from pysas.costs import tree_ns
 from pysas.engine.tree import Taps
-from pysas.forest import Layout
+from pysas.forest import Layout, reception
 from pysas.scene import Scene
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as tap
 
 
 def _track(scene: Scene) -> FloatArray:
-    """Phase centres of the traces heard, seen from above, at transmission."""
-    return np.asarray(subapertures.phase_centres(scene.geometry[scene.heard], 0.0)[:, :2])
+    """Phase centres of the traces heard, seen from above."""
+    return np.asarray(subapertures.phase_centres(scene.geometry[scene.heard], reception(scene))[:, :2])
 
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:

@@ -105,7 +105,8 @@ def cut_track(centres: FloatArray, pings: IntArray, length: float) -> list[IntAr
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
     pieces = max(1, int(np.ceil(path[-1] / length)))
     number = np.minimum((path / max(path[-1], 1e-300) * pieces).astype(np.int64), pieces - 1)[place]
-    return [np.flatnonzero(number == i) for i in range(pieces) if np.any(number == i)]
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
 
 
 def split(parent: Group, along: FloatArray, fan: int) -> list[IntArray]:

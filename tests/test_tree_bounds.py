@@ -179,3 +179,14 @@ def test_a_fixed_transmitter_is_cut_by_its_phase_centres():
     echoes, _ = survey(tx, line(512), grid := plane(ny=128), 1e-2, samples=3000, before=1300)
     plan = pysas.plan(echoes, grid, 1e-2, "ffbp", fallback=False)
     assert len(plan.forest.trees) <= 8
+
+
+def test_tracks_are_cut_into_no_more_pieces_than_they_have_pings():
+    """However small the pieces asked for: a platform that stands still while its receivers drift has almost no path."""
+    centres = np.linspace(0, 1e-3, 7)[:, None] * np.array([1.0, 0, 0])
+    pieces = subapertures.cut_track(np.repeat(centres, 2, axis=0), np.repeat(np.arange(7), 2), 1e-12)
+    assert [list(piece) for piece in pieces] == [[2 * i, 2 * i + 1] for i in range(7)]
+    velocity = np.where(ALTERNATE[:, None], 30.0, -30.0) * [1.0, 0, 0]
+    echoes, error = survey(0 * line(), 0 * line(), grid := plane(nx=16, ny=16), 1e-2, before=700, velocity=velocity)
+    plan = pysas.plan(echoes, grid, 1e-2, "ffbp")
+    assert error(plan(echoes.data)) <= 1

@@ -147,7 +147,8 @@ class Estimate {
   private:
     static Point above(const Point& p) { return {p.x, p.y, 0}; }
     Point place(std::int64_t trace) const {
-        return 0.5 * (point(geometry_.traces[trace].tx) + point(geometry_.traces[trace].rx));
+        const Trace& t = geometry_.traces[trace];
+        return 0.5 * (point(t.tx) + point(t.rx) + geometry_.delay * point(t.velocity));
     }
     Point pixel(std::int64_t line, double column) const {
         return point(frame_.first + 3 * line) + column * point(frame_.step + 3 * line);
