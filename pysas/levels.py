@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 import warnings
 from dataclasses import dataclass
@@ -184,12 +185,13 @@ def terms_of(plan: Plan) -> Terms:
 def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
     scene = plan.scene
-    corners = np.unique(np.array(np.meshgrid(*zip(scene.low, scene.high, strict=True))).reshape(3, -1).T, axis=0)
+    corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
     at = scene.geometry[heard]
-    nearest = np.clip((at[:, 0:3] + at[:, 3:6]) / 2, scene.low, scene.high)
-    near, _ = scene.read(heard, nearest, np.arange(heard.size)[:, None])
-    far, _ = scene.read(heard, corners, np.broadcast_to(np.arange(len(corners)), (heard.size, len(corners))))
-    edges = np.stack([np.floor(near[:, 0]), np.ceil(far.max(axis=1))])
+    pixels = np.concatenate([corners, np.clip((at[:, 0:3] + at[:, 3:6]) / 2, scene.low, scene.high)])
+    pick = np.tile(np.arange(len(corners) + 1), (heard.size, 1))
+    pick[:, -1] += np.arange(heard.size)
+    index, _ = scene.read(heard, pixels, pick)
+    edges = np.stack([np.floor(index.min(axis=1)), np.ceil(index.max(axis=1))])
     return np.asarray(np.clip(edges, -1, scene.n_sample), dtype=np.int64)
 
 
@@ -210,18 +212,22 @@ def _outside(plan: Plan, data: _Data, reach: int, own: float) -> float:
     some of the terms, of blocks of neighbouring traces.
     """
     terms, half = terms_of(plan), reach // 2
+    kept = data.used[terms.heard]
+    number, bright = terms.heard[kept], []
+    for edge, out in zip(terms.edges, (-1, 1), strict=True):
+        found = data.mean_squares(number, edge[kept] + out * (half + 1), half) * ((2 * half + 1) / (2 * reach + 1))
+        bright.append(np.maximum(data.weight[number] * found - BRIGHTER * own**2, 0))
+    if not any(np.any(found) for found in bright):
+        return 0.0
     blocks = max(1, min(terms.trace.size // BLOCK, terms.heard.size))
     block = np.arange(terms.heard.size) * blocks // terms.heard.size
     rank = np.searchsorted(terms.heard, terms.trace)
     traces, count = np.bincount(block, minlength=blocks), np.bincount(block[rank], minlength=blocks)
-    kept = data.used[terms.heard]
-    number = terms.heard[kept]
     total = 0.0
-    for edge, out in zip(terms.edges, (-1, 1), strict=True):
+    for edge, out, found in zip(terms.edges, (-1, 1), bright, strict=True):
         near = np.bincount(block[rank], (edge[rank] - terms.place) * out <= reach, minlength=blocks)
-        each = ((near + 1) * count / (count + 2) / traces)[block[kept]]  # the likeliest number of terms so near
-        found = data.mean_squares(number, edge[kept] + out * (half + 1), half) * ((2 * half + 1) / (2 * reach + 1))
-        total += float(np.sum(each * np.maximum(data.weight[number] * found - BRIGHTER * own**2, 0)))
+        each = ((near + 1) * count / (count + 2) / traces)[block[kept]]  # the likely number of terms so near
+        total += float(np.sum(each * found))
     return total / terms.trace.size
 
 
