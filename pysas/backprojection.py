@@ -158,8 +158,6 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     _checks.target(out, grid.shape, plan.dtype)
     _checks.apart(out, samples)
     notes = []
-    if plan.why_direct:
-        notes.append(f"summed directly: {plan.why_direct}")
 
     cpp = plan.backend == "cpp"
     start = _starts(plan)
@@ -175,11 +173,13 @@ def execute(plan: plans.Plan, data: npt.ArrayLike, out: ComplexArray | None, pro
     used = scene.heard & finite & (scene.weights != 0)
     exponents = amplitudes.largest(scene.weights[used], peaks[used])
     scale = amplitudes.scale_of(exponents)
-    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
-    image[...] = 0
     order = np.flatnonzero(used)
     plan = levels.fit(plan, samples, used, scale)
+    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
+    image[...] = 0
     choices = plan.choices
+    if plan.why_direct:
+        notes.insert(0, f"summed directly: {plan.why_direct}")
     notes += [] if plan is asked else levels.notes(plan)
 
     totals = Totals(0.0, 0.0, 0)

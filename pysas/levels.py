@@ -3,25 +3,29 @@
 A plan's bounds are relative to the samples that arithmetic meets, tol to those that pixels read. The two agree where both are
 alike. They do not beside a bright echo that lies just outside the grid, within the reach of an interpolation filter or of a
 tree's; nor after a record's hard end that cuts something bright, whose low-passed trace rings for hundreds of samples. `fit`
-compares them at some of the terms. Where they differ it takes other choices: a direct sum in place of a tree, or tables
-read from whole records, low-passed by W in float64, through a filter whose error beside bright samples is that of float64.
+compares them at some of the terms, and in every trace at the ends of its record and of what its pixels read. Where they differ
+it takes other choices: a direct sum in place of a tree, or tables read from whole records, low-passed by W in float64, through
+a filter whose error beside bright samples is that of float64.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.fft
 
+from pysas import _pool as pool
 from pysas import backprojection, bounds
 from pysas._checks import ComplexArray, FloatArray
 from pysas.choices import WIDE_ERROR, choose, choose_for_leaves
-from pysas.engine import native, summation
+from pysas.engine import native, preparation, summation
 from pysas.planner import SHARE_LEAVES, SHARE_ROUNDING
 from pysas.plans import Choices, Plan
 
@@ -32,24 +36,35 @@ KEPT = ("sub-images", "relief", "view angles")  # errors of a plan that its tabl
 BESIDE = "bright samples beside"
 TREE = 2.0  # errors of a tree beside bright nodes, in those spread evenly over its reach: 3 at most of 60 scenes
 TREE_EXCESS = 1.5  # as EXCESS: what bright samples pixels do read differs more from what is measured over a tree's reach
+BRIGHTER = 10.0  # squares of what pixels read: samples elsewhere below that are like any others
+BLOCK = 64  # terms by which shares of a few neighbouring traces' are told
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
 TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
 
 
 @dataclass(frozen=True)
 class Terms:
-    """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them."""
+    """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
+
+    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
+    """
 
     trace: npt.NDArray[np.int64]
     place: npt.NDArray[np.int64]
+    heard: npt.NDArray[np.int64]
+    edges: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class _Data:
-    """Samples (ping, channel, sample), the traces of them that are summed, and a scale that squares do not overflow in."""
+    """Samples (ping, channel, sample), the traces of them that are summed, squares of weights, and the unit of samples.
+
+    Weights are in units of the largest, a power of two, by which the samples' is divided.
+    """
 
     samples: ComplexArray
     used: npt.NDArray[np.bool_]
+    weight: FloatArray
     scale: float
     cpp: bool
     threads: int
@@ -60,50 +75,87 @@ class _Data:
 
 
 def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Plan:
-    """The plan that images `samples` within its tol: itself where the levels are as it takes them to be, or another."""
+    """The plan that images `samples` within its tol: itself where the levels are as it takes them to be, or another.
+
+    Itself too where no float64 holds the squares of both weights and samples.
+
+    Raises
+    ------
+    ValueError
+        Trees would have to be left, and the plan has no leave for that.
+    """
     if not used.any():
         return plan
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _fit(plan, samples, used, scale)
+
+
+def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Plan:
     terms = terms_of(plan)
     keep = used[terms.trace]
-    some = Terms(terms.trace[keep], terms.place[keep])
+    some = dataclasses.replace(terms, trace=terms.trace[keep], place=terms.place[keep])
     if not some.trace.size:
         return plan
-    data = _Data(samples if samples.ndim == 3 else samples[:, None, :], used, scale, plan.backend == "cpp", plan.threads)
-    weight = np.abs(plan.scene.weights[some.trace]) ** 2
+    traces = samples if samples.ndim == 3 else samples[:, None, :]
+    data = _Data(traces, used, *_weighed(plan.scene.weights, used, scale), plan.backend == "cpp", plan.threads)
+    weight = data.weight[some.trace]
     own = math.sqrt(np.mean(weight * data.mean_squares(some.trace, some.place, 1)))
-    ends = _ends(plan, data, some)
+    ends = _ends(plan, data)
+    if not (math.isfinite(own) and np.all(np.isfinite(ends))):
+        return plan
+    asked = plan
     if plan.forest is not None:
         reach = _tree_reach(plan)
         beside = weight * data.mean_squares(some.trace, some.place, reach)
-        excess = math.sqrt(max(float(np.mean(beside)) - own**2, 0.0))
+        excess = math.sqrt(max(float(np.mean(beside)) - own**2, _outside(plan, data, reach, own)))
         squares = np.zeros(some.trace.size)
         for side, distance in ((0, some.place), (1, plan.scene.n_sample - 1 - some.place)):
             # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them.
             # Ends about as bright as what pixels read are in the tree's own bounds
-            brighter = np.maximum(ends[side, some.trace] - 10 * own**2, 0)
+            brighter = np.maximum(ends[side, some.trace] - BRIGHTER * own**2, 0)
             squares += brighter * bounds.ringing(np.maximum(distance, reach), plan.scene.band) ** 2
         wrong = TREE * math.hypot(plan.choices.errors["sub-images"] * excess, math.sqrt(np.mean(squares)))
-        if wrong > (TREE_EXCESS * plan.budget - plan.choices.predicted_error) * own:
+        if not math.isfinite(wrong):
+            return asked
+        if wrong > (TREE_EXCESS * plan.budget - _predicted(plan)) * own:
             plan = _direct(plan)
-    error, planned = _measured(plan, data, some, weight, ends)
-    if error <= (EXCESS * plan.budget - plan.choices.predicted_error + planned) * own:
+    error, planned = _measured(plan, data, some, own, ends)
+    if not math.isfinite(error):
+        return asked
+    if error <= (EXCESS * plan.budget - _predicted(plan) + planned) * own:
         return plan
     brighter = math.sqrt(np.max(ends)) / own if own > 0 else 1e12
     plan = _wide(plan, brighter)
-    if own > 0:
-        error, _ = _measured(plan, data, some, weight, ends)
-        choices = plan.choices
-        plan = _with(plan, dataclasses.replace(choices, errors=choices.errors | {BESIDE: error / own}))
-    return plan
+    error, planned = _measured(plan, data, some, own, ends)
+    most, level = EXCESS * plan.budget - _predicted(plan) + planned, own
+    if error > most * own:  # what rings at the pixels is in the image as well
+        level = math.sqrt(max(_low_passed(plan, data, some) - error**2, own**2))
+    if error <= most * level or level == 0 or not math.isfinite(error / level):
+        return plan
+    return _with(plan, dataclasses.replace(plan.choices, errors=plan.choices.errors | {BESIDE: error / level}))
+
+
+def _weighed(weights: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> tuple[FloatArray, float]:
+    """Squares of weights in units of the largest used, a power of two, and `scale` divided by it."""
+    parts = np.stack([weights.real, weights.imag])
+    top = int(np.frexp(np.max(np.abs(parts[:, used])))[1])
+    limits = np.finfo(np.float64)
+    unit = float(np.clip(np.ldexp(scale, -top), limits.tiny, limits.max))
+    return np.asarray(np.sum(np.ldexp(parts, -top) ** 2, axis=0)), unit
+
+
+def _predicted(plan: Plan) -> float:
+    """The part of the predicted error that is the budget's: weights uniform in view angle have a share of tol beside it."""
+    errors = plan.choices.errors
+    return plan.choices.predicted_error - errors.get("view angles", 0.0)
 
 
 def notes(plan: Plan) -> list[str]:
     """What a person should know of a plan that `fit` took in place of another; warns where it does not keep its budget."""
-    found = [f"summed directly: {plan.why_direct}"] if plan.forest is None and plan.why_direct else []
+    found = []
     if plan.choices.wide:
         found.append("whole records read in float64: samples beside those that pixels read are bright")
-    errors = plan.choices.errors
-    if plan.choices.predicted_error > (plan.budget + errors.get("view angles", 0.0)) * (1 + 1e-9):
+    if _predicted(plan) > plan.budget * (1 + 1e-9):
         text = (
             f"tol={plan.tol:g} is not promised, error {plan.choices.predicted_error:.2g} predicted: float64 cannot tell what "
             "pixels read from the bright samples beside"
@@ -117,27 +169,87 @@ def terms_of(plan: Plan) -> Terms:
     """Some of a plan's terms, from all traces in turn; found once."""
     if plan.terms is None:
         scene = plan.scene
-        heard = np.flatnonzero(scene.heard)
+        heard = np.flatnonzero(scene.heard if scene.pixels else np.zeros_like(scene.heard))
         count = int(np.clip(scene.traces * scene.pixels / ONE_OF, *TERMS))
         pixels = scene.drawn
         each = max(1, min(len(pixels), -(-count // max(heard.size, 1))))
         # pixels in turn: neighbouring traces have different ones
         pick = np.random.default_rng(1).permutation(len(pixels))
-        pick = pick[(np.arange(heard.size)[:, None] * each + np.arange(each)) % len(pixels)]
+        pick = pick[(np.arange(heard.size)[:, None] * each + np.arange(each)) % max(len(pixels), 1)]
         index, lit = scene.read(heard, pixels, pick)
-        plan.terms = Terms(np.broadcast_to(heard[:, None], lit.shape)[lit], np.rint(index[lit]).astype(np.int64))
+        trace, place = np.broadcast_to(heard[:, None], lit.shape)[lit], np.rint(index[lit]).astype(np.int64)
+        plan.terms = Terms(trace, place, heard, _edges(plan, heard))
     return plan.terms
 
 
-def _ends(plan: Plan, data: _Data, some: Terms) -> FloatArray:
+def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
+    scene = plan.scene
+    corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
+    at = scene.geometry[heard]
+    pixels = np.concatenate([corners, np.clip((at[:, 0:3] + at[:, 3:6]) / 2, scene.low, scene.high)])
+    pick = np.tile(np.arange(len(corners) + 1), (heard.size, 1))
+    pick[:, -1] += np.arange(heard.size)
+    index, _ = scene.read(heard, pixels, pick)
+    edges = np.stack([np.floor(index.min(axis=1)), np.ceil(index.max(axis=1))])
+    return np.asarray(np.clip(edges, -1, scene.n_sample), dtype=np.int64)
+
+
+def _ends(plan: Plan, data: _Data) -> FloatArray:
     """Twice the mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
     n, number = plan.scene.n_sample, np.flatnonzero(data.used)
-    weight = np.abs(plan.scene.weights[number]) ** 2
     out = np.zeros((2, data.used.size))
     for side, place in enumerate((0, n - 1)):
         found = data.mean_squares(number, np.full(number.size, place), ENDS) * 2 * (2 * ENDS + 1) / (ENDS + 1)
-        out[side, number] = weight * found
+        out[side, number] = data.weight[number] * found
     return out
+
+
+def _outside(plan: Plan, data: _Data, reach: int, own: float) -> float:
+    """Mean square, over the terms, of bright samples within `reach` of them just outside what pixels read, in all traces.
+
+    A term near an edge reaches up to `reach` samples beyond, one in 2 `reach` + 1 each; how many terms are so near is told by
+    some of the terms, of blocks of neighbouring traces.
+    """
+    terms, half = terms_of(plan), reach // 2
+    kept = data.used[terms.heard]
+    number, bright = terms.heard[kept], []
+    for edge, out in zip(terms.edges, (-1, 1), strict=True):
+        found = data.mean_squares(number, edge[kept] + out * (half + 1), half) * ((2 * half + 1) / (2 * reach + 1))
+        bright.append(np.maximum(data.weight[number] * found - BRIGHTER * own**2, 0))
+    if not any(np.any(found) for found in bright):
+        return 0.0
+    blocks = max(1, min(terms.trace.size // BLOCK, terms.heard.size))
+    block = np.arange(terms.heard.size) * blocks // terms.heard.size
+    rank = np.searchsorted(terms.heard, terms.trace)
+    traces, count = np.bincount(block, minlength=blocks), np.bincount(block[rank], minlength=blocks)
+    total = 0.0
+    for edge, out, found in zip(terms.edges, (-1, 1), bright, strict=True):
+        near = np.bincount(block[rank], (edge[rank] - terms.place) * out <= reach, minlength=blocks)
+        each = ((near + 1) * count / (count + 2) / traces)[block[kept]]  # the likely number of terms so near
+        total += float(np.sum(each * found))
+    return total / terms.trace.size
+
+
+def _low_passed(plan: Plan, data: _Data, some: Terms) -> float:
+    """Mean square of what pixels read of whole records low-passed by W: what rings of bright samples elsewhere included."""
+    number, n_sample = np.unique(some.trace), plan.scene.n_sample
+    n_fft = scipy.fft.next_fast_len(2 * n_sample)
+    transfer = preparation.low_pass(scipy.fft.fftfreq(n_fft))
+    at_once = summation.rows_per_task(n_fft)
+    squares = np.zeros(some.trace.size)
+
+    def measure(task: int) -> None:
+        part = number[task * at_once : (task + 1) * at_once]
+        begin, end = np.searchsorted(some.trace, [part[0], part[-1] + 1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            whole = data.samples[np.divmod(part, data.samples.shape[1])].astype(np.complex128) / data.scale
+            spectrum = scipy.fft.fft(whole, n_fft, axis=-1, workers=1) * transfer
+            smooth = scipy.fft.ifft(spectrum, axis=-1, workers=1)
+            squares[begin:end] = np.abs(smooth[np.searchsorted(part, some.trace[begin:end]), some.place[begin:end]]) ** 2
+
+    pool.run(measure, -(-number.size // at_once), data.threads)
+    return float(np.mean(data.weight[some.trace] * squares))
 
 
 def _tree_reach(plan: Plan) -> int:
@@ -149,19 +261,20 @@ def _tree_reach(plan: Plan) -> int:
     return math.ceil(stages * forest.layout.taps.reach / float(forest.rate))
 
 
-def _measured(plan: Plan, data: _Data, some: Terms, weight: FloatArray, ends: FloatArray) -> tuple[float, float]:
+def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray) -> tuple[float, float]:
     """Error, in units of the data's scale, that a plan's tables make of the terms; and what of it is in its bounds.
 
     Errors of a filter are spread over its reach.
     """
-    c, scene = plan.choices, plan.scene
+    c, scene, weight = plan.choices, plan.scene, data.weight[some.trace]
     planned = 0.0 if c.wide else c.errors["interpolation"]  # in whole records' tables it is wrong by what is read itself
     reach = (c.taps // 2 if not c.n_fft else (c.taps + 3) // 4) + 1
     reach = reach if c.taps else 0
     beside = WIDE_ERROR if c.wide else planned
     squares = np.zeros(some.trace.size)
     if reach:
-        squares += beside**2 * weight * data.mean_squares(some.trace, some.place, reach)
+        found = weight * data.mean_squares(some.trace, some.place, reach)
+        squares += beside**2 * max(float(np.mean(found)), _outside(plan, data, reach, own))
     if not reach:  # transforms' polynomials are wrong by what they read
         squares += planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
     hidden = "wrap-round" if "wrap-round" in c.errors else "record's ends"
@@ -189,15 +302,18 @@ def _measured(plan: Plan, data: _Data, some: Terms, weight: FloatArray, ends: Fl
 
 def _direct(plan: Plan) -> Plan:
     """The same without trees."""
-    if "direct" not in plan.others:
+    if not plan.fallback:
+        raise ValueError(f"fallback=False, tol={plan.tol:g}: samples beside those that pixels read are too bright for trees")
+    found = plan.others.get("direct")
+    if found is None:
         choices = _named(plan, choose(plan.scene, plan.budget, plan.backend), KEPT[-1:])
-        other = _with(plan, choices)
-        other.reader = backprojection.reader_of(choices, plan.scene.band)
-        other.forest = None
-        other.why_direct = "samples beside those that pixels read are too bright for trees"
-        other.frame = backprojection.Frame(plan.grid, plan.scene, choices.block)
-        plan.others["direct"] = other
-    return plan.others["direct"]
+        found = _with(plan, choices)
+        found.reader = backprojection.reader_of(choices, plan.scene.band)
+        found.forest = None
+        found.why_direct = "samples beside those that pixels read are too bright for trees"
+        found.frame = backprojection.Frame(plan.grid, plan.scene, choices.block)
+        plan.others["direct"] = found
+    return found
 
 
 def _wide(plan: Plan, ends: float) -> Plan:
@@ -206,20 +322,22 @@ def _wide(plan: Plan, ends: float) -> Plan:
     Without trees where their rate is too low for all that whole records hold.
     """
     ends = 10.0 ** math.ceil(math.log10(min(max(ends, 1.0), 1e12)))
-    choices = None
-    if plan.forest is not None:
-        share = SHARE_LEAVES * plan.budget
-        choices = choose_for_leaves(plan.scene, share, plan.backend, SHARE_ROUNDING, plan.forest.rate, ends)
-        if choices is None:
-            plan = _direct(plan)
     name = f"wide {plan.forest is not None} {ends:g}"
-    if name not in plan.others:
-        if choices is None:
+    found = plan.others.get(name)
+    if found is None:
+        choices: Choices | None
+        if plan.forest is not None:
+            share = SHARE_LEAVES * plan.budget
+            choices = choose_for_leaves(plan.scene, share, plan.backend, SHARE_ROUNDING, plan.forest.rate, ends)
+        else:
             choices = choose(plan.scene, plan.budget, plan.backend, ends)
-        other = _with(plan, _named(plan, choices))
-        other.reader = backprojection.reader_of(other.choices, plan.scene.band)
-        plan.others[name] = other
-    return plan.others[name]
+        if choices is None:
+            found = _wide(_direct(plan), ends)
+        else:
+            found = _with(plan, _named(plan, choices))
+            found.reader = backprojection.reader_of(found.choices, plan.scene.band)
+        plan.others[name] = found
+    return found
 
 
 def _named(plan: Plan, choices: Choices, names: tuple[str, ...] = KEPT) -> Choices:

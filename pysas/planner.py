@@ -140,8 +140,9 @@ def plan(
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": _views_error(scene)})
     chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", fault)
     return Plan(
-        echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why, left
-    )
+        echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why, left,
+        fallback or method != "ffbp",
+    )  # fmt: skip
 
 
 def focus(

@@ -91,10 +91,12 @@ class Plan:
         forest: Forest | None = None,
         why_direct: str = "",
         budget: float = 0.0,
+        fallback: bool = True,
     ) -> None:
         from pysas import backprojection
 
         self.budget = budget  # of tol: what choices were made for
+        self.fallback = fallback  # whether trees may be left for data that are too bright for them
         self.terms: levels.Terms | None = None  # looked at when data arrive, see levels.py
         self.others: dict[str, Plan] = {}  # that take this one's place for some data
         self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend

@@ -278,10 +278,9 @@ def test_a_sum_of_nothing_warns_once_and_says_why(case, call, backend):
     assert sum("image is zero" in note for note in image.report.notes) == 1
 
 
-@pytest.mark.parametrize("fault", [_checks.InternalError("no such tree"), AssertionError("no such tree")])
-def test_a_fault_in_planning_trees_leaves_the_direct_sum(fault, monkeypatch):
+def test_a_fault_in_planning_trees_leaves_the_direct_sum(monkeypatch):
     def fail(*_, **__):
-        raise fault
+        raise _checks.InternalError("no such tree")
 
     monkeypatch.setattr(planner, "_plant", fail)
     monkeypatch.setattr(planner, "_site", fail)
@@ -290,7 +289,7 @@ def test_a_fault_in_planning_trees_leaves_the_direct_sum(fault, monkeypatch):
         assert np.array_equal(image.data, expected.data)
         assert any("no such tree" in note for note in image.report.notes)
     assert "no such tree" in pysas.plan(ECHOES, PLANE, method="backprojection").explain()
-    with pytest.raises(type(fault), match="no such tree"):
+    with pytest.raises(_checks.InternalError, match="no such tree"):
         pysas.ffbp(ECHOES, PLANE, fallback=False)
 
 

@@ -10,7 +10,7 @@ import pytest
 from scenes import noise, straight
 
 import pysas
-from pysas import planner
+from pysas import levels, planner
 from pysas.engine import native
 
 BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
@@ -49,6 +49,14 @@ def scene(seed):
     return f"{kind}, {20 * np.log10(level):.0f} dB", echoes, pysas.Grid.plane((np.arange(24) - 12) * 0.012, y)
 
 
+def with_trees(echoes, grid, backend):
+    """A plan of trees, however small the image is, that may be left."""
+    plan = pysas.plan(echoes, grid, 6e-3, "ffbp", backend=backend, fallback=False)
+    assert plan.forest is not None
+    plan.fallback = True
+    return plan
+
+
 def kept(plan, data, exact, level, case):
     """Image; the promise of its plan's tol, or more where the report says so and a warning."""
     with warnings.catch_warnings(record=True) as caught:
@@ -81,8 +89,7 @@ def test_trees_beside_bright_samples_keep_tol_or_are_left(seed):
     exact, level = pysas.reference.exact(single, grid)
     used = 0
     for backend in BACKENDS:
-        plan = pysas.plan(single, grid, 6e-3, "ffbp", backend=backend, fallback=False)
-        assert plan.forest is not None
+        plan = with_trees(single, grid, backend)
         used += kept(plan, single.data, exact, level, (name, backend)).factorised_share > 0
         # left for these data only
         plain = noise(40, 1, N, single.bandwidth / FS, seed, np.complex64)[:, 0]
@@ -103,13 +110,122 @@ def test_double_precision_keeps_tol_beside_bright_samples(seed, tol, backend):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_what_float64_cannot_tell_apart_is_said(backend):
-    """A transmit pulse 1e18 times as bright as the sea: float64 has 1e-16 of it."""
+    """A transmit pulse 1e18 times as bright as the sea, of which float64 has 1e-16; it is smooth: nothing of it rings.
+
+    The spectrum of exp(-(n/12)^2) is exp(-(12 pi f)^2), below 1e-120 where W falls.
+    """
     echoes, grid = straight(32), pysas.Grid.plane(np.arange(-12, 12) * 0.02, 19.0 + np.arange(24) * 0.02)
-    data = echoes.data.copy()
-    data[..., :9] += 1e18
+    data = echoes.data + 1e18 * np.exp(-(((np.arange(echoes.n_sample) - 500) / 12) ** 2))
     with pytest.warns(UserWarning, match=r"tol=0.001 is not promised, error .* predicted"):
         image = pysas.backproject(echoes.replace(data=data), grid, 1e-3, backend=backend)
     assert image.report.predicted_error > 1e-3 and any("not promised" in note for note in image.report.notes)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_rings_of_bright_ends_is_part_of_the_image(backend):
+    """A record that starts with 1e18 at full height: what W makes of that at the pixels is 1e9 times the sea, and exact."""
+    echoes, grid = straight(32), pysas.Grid.plane(np.arange(-12, 12) * 0.02, 19.0 + np.arange(24) * 0.02)
+    data = echoes.data.copy()
+    data[..., :9] += 1e18
+    plan = pysas.plan(echoes, grid, 1e-3, "backprojection", backend=backend)
+    report = kept(plan, data, *pysas.reference.exact(echoes.replace(data=data), grid), (backend,))
+    assert report.predicted_error <= 1e-3
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_trees_over_low_passed_records_leave_out_what_is_not_finite(backend, bad):
+    """Not even multiplied by a weight of 0, which would raise a RuntimeWarning."""
+    n_ping, fs = 200, 30e3
+    tx = np.zeros((n_ping, 3))
+    tx[:, 0] = np.linspace(-2, 2, n_ping)
+    data = noise(n_ping, 1, 700, 2 / 3, 0, np.complex64)[:, 0]
+    echoes = pysas.Echoes(data, fs=fs, fc=FC, tx=tx, rx=tx, c=C, t0=2 * 7.6 / C, bandwidth=20e3)
+    grid = pysas.Grid.plane((np.arange(160) - 80) * 0.02, 10 + np.arange(80) * 0.02)
+    plan = pysas.plan(echoes, grid, 1e-3, "ffbp", backend=backend, nan="mask", fallback=False)
+    assert plan.choices.n_fft
+    data = data.copy()
+    data[7] = 0
+    expected = plan(data)
+    data[7, 100:300] = bad
+    found = plan(data)
+    assert found.report.factorised_share > 0 and "1 of 200 traces left out" in found.report.notes[0]
+    error = np.linalg.norm(found.data - expected.data)
+    assert error <= 1e-5 * np.linalg.norm(expected.data)
+
+
+def burst(ping, side, off, level):
+    """A long dark swath, with a pulse in one ping's record `off` samples before or behind all that its pixels read."""
+    pings, samples, fs = 150, 1500, 30e3
+    tx = np.zeros((pings, 3))
+    tx[:, 0] = np.linspace(-0.75, 0.75, pings)
+    data = noise(pings, 1, samples, 2 / 3, 0, np.complex64)[:, 0]
+    echoes = pysas.Echoes(data, fs=fs, fc=FC, tx=tx, rx=tx, c=C, t0=14 / C, bandwidth=20e3)
+    grid = pysas.Grid.plane((np.arange(8) - 4) * 0.03, 10 + np.arange(700) * 0.03)
+    read = (2 * np.linalg.norm(grid.coordinates() - tx[ping], axis=-1) / C - 14 / C) * fs
+    place = read.max() + off if side == "behind" else read.min() - off
+    data[ping] += (level * np.exp(-(((np.arange(samples) - place) / 4.2) ** 2))).astype(np.complex64)
+    return echoes, grid
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    ("ping", "side", "off", "level"),
+    [(3, "behind", 9, 1e5), (75, "behind", 13, 1e6), (40, "before", 11, 1e5), (110, "before", 13, 1e6)],
+)
+def test_a_burst_in_one_ping_just_outside_of_what_its_pixels_read(ping, side, off, level, backend):
+    echoes, grid = burst(ping, side, off, level)
+    plan = pysas.plan(echoes, grid, 1e-3, "backprojection", backend=backend)
+    kept(plan, echoes.data, *pysas.reference.exact(echoes, grid), (ping, side, off, level, backend))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("off", [20, 45])
+def test_a_burst_in_one_ping_within_reach_of_trees(off, backend):
+    echoes, grid = burst(75, "behind", off, 1e6)
+    plan = with_trees(echoes, grid, backend)
+    kept(plan, echoes.data, *pysas.reference.exact(echoes, grid), (off, backend))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_trees_are_not_left_without_leave(backend):
+    _, echoes, grid = scene(1011)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    assert with_trees(single, grid, backend)(single.data).report.factorised_share == 0
+    plan = pysas.plan(single, grid, 6e-3, "ffbp", backend=backend, fallback=False)
+    out = np.full(grid.shape, 7, np.complex64)
+    with pytest.raises(ValueError, match=r"fallback=False, tol=0.006: samples beside those that pixels read are too bright"):
+        plan(single.data, out)
+    assert np.all(out == 7)
+    assert plan(noise(40, 1, N, single.bandwidth / FS, 0, np.complex64)[:, 0]).report.factorised_share == 1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_other_choices_are_made_once(monkeypatch, backend):
+    calls = []
+    for name in ("choose", "choose_for_leaves"):
+        whole = getattr(levels, name)
+        monkeypatch.setattr(levels, name, lambda *a, whole=whole: (calls.append(0), whole(*a))[1])
+    for seed, method in ((1003, "ffbp"), (1006, "ffbp"), (1007, "ffbp"), (1007, "backprojection")):
+        _, echoes, grid = scene(seed)
+        data = echoes.data.astype(np.complex64)
+        single = echoes.replace(data=data)
+        plan = (
+            with_trees(single, grid, backend) if method == "ffbp" else pysas.plan(single, grid, 6e-3, method, backend=backend)
+        )
+        first, made = plan(data), len(calls)
+        assert np.array_equal(plan(data).data, first.data) and len(calls) == made
+    assert calls
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_why_trees_are_not_used_is_said_once(backend):
+    _, echoes, grid = scene(1007)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report = pysas.ffbp(single, grid, 1e-5, backend=backend).report
+    assert report.choices["wide"] and sum(note.startswith("summed directly") for note in report.notes) == 1
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -103,7 +103,9 @@ def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[An
         fine[:, half:] = 0
         if tail:
             fine[:, plan.n_fine - tail :] = spectrum[:, half:] * plan.transfer[q, half:]
-        out[:, :, q] = scipy.fft.ifft(fine, axis=-1, workers=1)[:, : plan.intervals]
+        rows = scipy.fft.ifft(fine, axis=-1, workers=1)[:, : plan.intervals]
+        with np.errstate(over="ignore", invalid="ignore"):  # what no pixel reads may be too bright for float32
+            out[:, :, q] = rows
 
 
 def segments(
@@ -125,7 +127,7 @@ def segments(
         trace = traces[divmod(int(flat), channels)]
         first = int(start[i])
         a, b = max(first, 0), min(first + plan.length, n_sample)
-        if b > a:
+        if b > a and weights[i] != 0:  # or it may hold anything
             kept[i, a - first : b - first] = _scaled(trace[a:b], complex(weights[i]), scale, kept.dtype)
     if plan.window is not None:
         kept *= plan.window

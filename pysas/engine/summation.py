@@ -105,14 +105,17 @@ def mean_squares(
     _, channels, n_sample = data.shape
     out = np.zeros(trace.size)
     size = max(1, 2**18 // min(2 * reach + 1, n_sample))
+    inverse = min(1 / scale, np.finfo(np.float64).max)  # one over a subnormal is infinite
 
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
         low, high = np.maximum(place[some] - reach, 0), np.minimum(place[some] + reach, n_sample - 1)
         at = low[:, None] + np.arange(max(0, int(np.max(high - low, initial=-1)) + 1))
         ping, channel = np.divmod(trace[some, None], channels)
-        near = data[ping, channel, np.minimum(at, n_sample - 1)].astype(np.complex128) / scale
-        out[some] = np.sum(near.real**2 + near.imag**2, axis=1, where=at <= high[:, None]) / (2 * reach + 1)
+        with np.errstate(over="ignore", invalid="ignore"):  # squares of float64 may be no numbers
+            near = data[ping, channel, np.minimum(at, n_sample - 1)].astype(np.complex128)
+            squares = (near.real * inverse) ** 2 + (near.imag * inverse) ** 2
+            out[some] = np.sum(squares, axis=1, where=at <= high[:, None]) / (2 * reach + 1)
 
     pool.run(measure, -(-trace.size // size), threads)
     return out
