@@ -64,7 +64,8 @@ def ffbp(
     Raises
     ------
     ValueError, TypeError
-        As `backproject`; also where `fallback` is False and terms would have to be summed directly.
+        As `backproject`; also where `fallback` is False and terms would have to be summed directly: by their geometry, or
+        as samples beside those that pixels read are too bright for trees.
 
     Notes
     -----

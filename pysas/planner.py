@@ -90,7 +90,7 @@ def plan(
         Traces that hold non-finite samples: an error, or left out of the sum.
     fallback : bool
         With "ffbp" (with "auto" they are): whether terms that cannot be factorised, or not within `tol`, are summed directly;
-        an error otherwise.
+        an error otherwise, also where samples beside those that pixels read are too bright for trees, once data arrive.
 
     Returns
     -------
