@@ -78,7 +78,10 @@ MUTATIONS = (
         "np.interp(-np.log10(error), exponents", "np.interp(-np.log10(30 * error), exponents",
     ),
     Mutation("interpolation of a tree", "1/12", "pysas/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
-    Mutation("sampling of a tree", "0.7", "pysas/planner.py", "SPARE = 1.05 ", "SPARE = 0.7 "),
+    Mutation(
+        "rays of a tree", "0.7", "csrc/core/subapertures.cpp",
+        "pi / (rate * (spare_across", "pi / (0.7 * rate * (spare_across",
+    ),
     Mutation(
         "lattice of weights uniform in view angle", "30", "pysas/view_angles.py",
         "    wrong = _rms(", "    wrong = _rms(1 / 30 * ",
