@@ -10,14 +10,13 @@ out the file in memory, without the arrays' bytes, and Python writes those and t
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import io
 import math
-import threading
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future
 from pathlib import Path
 from typing import IO, Any
 
@@ -366,20 +365,31 @@ def _laid_out(arrays: Mapping[str, Array], checks: Mapping[str, int]) -> tuple[d
 
 
 def _uninterrupted(work: Callable[[], Any]) -> Any:
-    """The result of milliseconds of work in a thread of its own: HDF5 makes another error of a Ctrl-C within its callbacks."""
-    done: Future[Any] = Future()
+    """The result of milliseconds of work in a thread of its own: HDF5 makes another error of a Ctrl-C within its callbacks.
+
+    Waited for by a bare lock: a Ctrl-C within the conditions of `threading` may leave them in an error of their own.
+    """
+    outcome: list[tuple[Any, BaseException | None]] = []
+    finished = _thread.allocate_lock()
+    finished.acquire()
 
     def run() -> None:
         try:
-            done.set_result(work())
+            outcome.append((work(), None))
         except BaseException as error:
-            done.set_exception(error)
+            outcome.append((None, error))
+        finally:
+            finished.release()
 
     try:
-        threading.Thread(target=run).start()
+        _thread.start_new_thread(run, ())
     except RuntimeError:  # Python ends and starts no more
         run()
-    return done.result()
+    finished.acquire()
+    result, error = outcome[0]
+    if error is not None:
+        raise error
+    return result
 
 
 def _blocks(array: Array) -> Iterator[Array]:

@@ -29,7 +29,7 @@ PIXELS = (24, 60)
 CONFIRMED = 1e9  # evaluations spent on all pixels of a grid before it is said to be broken
 LEAST_TREE = 3e-5  # tolerance of a tree
 # what a ValueError may say
-REASONS = ("at best", "expected all terms to go through the tree")
+REASONS = ("at best", "expected all terms to go through the tree", "too bright for trees")
 TOLERANCE = 2  # the C library's code for a tolerance that it cannot keep
 
 
