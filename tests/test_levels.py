@@ -245,7 +245,7 @@ def test_plain_data_are_imaged_as_planned(backend, method):
             assert report.choices == plan.reported
 
 
-@pytest.mark.skipif(native.extension() is None, reason="needs the C++ extension")
+@pytest.mark.cpp
 def test_trees_over_whole_records_of_plain_data_stay(monkeypatch):
     """Record ends ring in every image that reaches them; only ends brighter than the image are a reason to leave trees."""
     monkeypatch.setattr(planner, "_direct_seconds", lambda *_: 1e9)
@@ -275,7 +275,7 @@ def test_hard_ends_of_oversampled_records(backend, over):
         assert pysas.metrics.relative_error(image.data, exact, level) <= tol, tol
 
 
-@pytest.mark.skipif(native.extension() is None, reason="needs the C++ extension")
+@pytest.mark.cpp
 @pytest.mark.parametrize("seed", range(6))
 def test_a_filter_keeps_its_error_at_every_frequency_of_its_band(seed):
     """Tones on a fine raster of frequencies, the band's edges among them, and places: `error` is the worst there is."""
