@@ -22,7 +22,6 @@ SHARE_INTERPOLATION = 0.85
 SHARE_WIDE = 0.3  # the same of tables of whole records: all they hold may be at the band's edge, where bounds leave no margin
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
-LONGEST_BLOCK = 64
 BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
 # of a filter at twice the sample rate: its Kaiser window's error beside what pixels read, exp(-pi sqrt(18^2 - 1))
@@ -190,7 +189,7 @@ def choose_delay(
         half = scene.step * (count - 1) / 2
         turns = 2 * half * scene.slope * wave
         rounding = np.pi * turns * eps + 4 * eps + uneven
-        bent = scene.lattice is not None and 2 * half > scene.lattice.longest
+        bent = scene.lattice is not None and not scene.lattice.holds(scene.step, count)
         if rounding > share * budget or bent:
             continue
         near = 2 * half

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from pysas import _checks, bounds, costs, engine, layouts, view_angles
 from pysas._checks import ComplexArray
-from pysas.choices import LONGEST_BLOCK, SHARE_PHASE, choose, choose_delay, choose_for_leaves, even_split
+from pysas.choices import SHARE_PHASE, choose, choose_delay, choose_for_leaves, even_split
 from pysas.costs import forest_seconds, prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import NODES, native, tree
@@ -213,7 +213,7 @@ def _weigh(scene: Scene, grid: Grid, tol: float, tree: bool, threads: int, backe
     if not scene.uniform or scene.why_empty():
         return 0.0
     for node in (_node(scene), 0.0) if tree else (0.0,):  # those of sub-images also lie around the image
-        stretch = (LONGEST_BLOCK - 1) * max(scene.step, node)
+        stretch = (view_angles.LONGEST - 1) * max(scene.step, node)
         scene.lattice = view_angles.lattice(
             scene, grid, SHARE_VIEWS * tol, _beyond(node), stretch, threads, backend, SHARE_LIT * tol
         )
@@ -233,7 +233,7 @@ def _views_error(scene: Scene) -> float:
 
 def _beyond(node: float) -> float:
     """How far around an image its sub-images' nodes are, m."""
-    return LONGEST_BLOCK * node
+    return view_angles.LONGEST * node
 
 
 def _node(scene: Scene) -> float:
@@ -322,7 +322,7 @@ def _site(
         return None, "view-angle weights are every pixel's own: views change their order over the image"
     if scene.lattice is not None and scene.lattice.beyond < _beyond(_node(scene)):
         return None, "views change their order around the image"
-    if scene.lattice is not None and (LONGEST_BLOCK - 1) * _node(scene) > scene.lattice.longest:
+    if scene.lattice is not None and not scene.lattice.holds(_node(scene), view_angles.LONGEST):
         return None, "view-angle weights change fast along the rays of sub-images"
     share = SHARE_LEAVES * tol
     flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])

@@ -7,6 +7,8 @@ and every pixel has its own. No choices: the planner says what error the lattice
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +24,15 @@ LEAST = 1024  # places a lattice may have however small the image is
 PLACES = 100  # pixels a place: what a place costs is about 2/3 of theirs then, seldom needed
 BYTES = 2**28  # of weights at a time
 ARC_NS = {"cpp": 40.0, "numba": 60.0}  # of a pixel's view where each has its own
-NODES = 5  # of polynomials along lines
+NODES = 5  # of polynomials along lines, evenly spaced
+ALONG, BETWEEN = np.linspace(-1, 1, NODES), 0.8
 CHECKED = 32  # pixels that the error is measured at
 FEW = 4  # of these places, one in so many for that of lines: its fifth root is all that is used
 # and places on each edge of the box about the image, as shares of it: a bisector's angle is a harmonic function of the
 # place, and so are its differences and derivatives, which are largest on the edges
 EDGES = (0.03, 0.1, 0.27, 0.5, 0.73, 0.9, 0.97)
-SHORTEST = 16  # pixels that the kernels look weights up over at least
+SHORTEST, LONGEST = 16, 64  # pixels that the kernels look weights up over; of a vector, at most, the least of them
+ROUNDED = 1 + 1e-9  # of lengths that are the same
 
 Patterns = npt.NDArray[np.uint64]
 
@@ -38,12 +42,13 @@ class Lattice:
     """Weights of all traces at places (x0 + i dx, y0 + j dy) about the scene's centre.
 
     value : (ny, nx, trace) float32; axes : (5,) x0, y0, dx, dy, m, and how long lines may be, m, for a polynomial
-    through NODES places along them to hold as well; error : largest rms difference of a measured place's weights from its
-    arcs, by their mean; beyond : m around the image.
+    through NODES places along them to hold as well; vector : m that SHORTEST pixels may span, for a quadratic; error : of a
+    measured place's weights from its arcs, rms by their mean, at the worst; beyond : m around the image.
     """
 
     value: npt.NDArray[np.float32]
     axes: FloatArray
+    vector: float
     error: float
     beyond: float
 
@@ -51,6 +56,12 @@ class Lattice:
     def longest(self) -> float:
         """Of lines, m."""
         return float(self.axes[4])
+
+    def holds(self, step: float, count: int) -> bool:
+        """Whether the kernels may read weights along lines of `count` pixels `step` m apart."""
+        return bool(
+            step * (max(count, SHORTEST) - 1) <= ROUNDED * self.longest and step * (SHORTEST - 1) <= ROUNDED * self.vector
+        )
 
     def of(self, order: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.float32], FloatArray]:
         """Some traces', as the C++ engine takes them."""
@@ -89,7 +100,7 @@ def lattice(
         if not alike[1:-1, 1:-1].all():
             return None
         frame = np.array([axes[0][0], axes[1][0], *spacing])
-        lattice = Lattice(value.astype(np.float32).reshape(*x.shape, -1), frame, 0.0, beyond)
+        lattice = Lattice(value.astype(np.float32).reshape(*x.shape, -1), frame, 0.0, 0.0, beyond)
         # of fourth order, where all places see the views alike
         wrong = _rms((read(lattice, points[:, :2]) - exact) / mean) if alike.all() else np.inf
         wanted = step * (min(0.7, 0.9 * (error / max(wrong, 1e-300)) ** 0.25) if wrong < np.inf else 0.5)
@@ -98,23 +109,56 @@ def lattice(
         step = max(least, wanted, step / 4)
     if wrong > max(error, most if scene.cos_beam > -1 else 0.0):
         return None
-    # lines as long as the box has room for, where it has
-    along = np.zeros(2)
-    along[:] = 1 if scene.lines is None else scene.lines[1][len(scene.lines[1]) // 2][:2]
-    along /= max(float(np.linalg.norm(along)), 1e-300)
-    stretch = min([stretch, *((high - low)[along != 0] / np.abs(along)[along != 0])])
-    half = np.append(stretch / 2 * along, 0.0)
-    room = np.maximum((high - low) / 2 - np.abs(half[:2]), 0)
-    middle = (low + high) / 2
-    points, mean = points[::FEW], mean[::FEW]
-    centres = points.copy()
-    centres[:, :2] = np.clip(points[:, :2], middle - room, middle + room)
-    nodes = np.linspace(-1, 1, NODES)
-    at, fifth = 0.8, [np.prod((0.8 - np.delete(nodes, k)) / (nodes[k] - np.delete(nodes, k))) for k in range(NODES)]
-    through = sum(f * arcs(scene, centres + x * half, threads, backend)[0] for f, x in zip(fifth, nodes, strict=True))
-    bent = _rms((through - arcs(scene, centres + at * half, threads, backend)[0]) / mean)
-    longest = stretch * (max(error, wrong) / max(bent, 1e-300)) ** (1 / NODES)
-    return Lattice(lattice.value, np.append(lattice.axes, longest), wrong, beyond)
+    # lines as long as the box has room for, where it has; a vector of pixels is a part of the longest
+    along = np.ones(2) if scene.lines is None else scene.lines[1][len(scene.lines[1]) // 2][:2]
+    along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0])
+    room = float(np.min((high - low)[along != 0] / np.abs(along)[along != 0]))
+    share = max(error, wrong)
+    longest, bent = _held(scene, points[::FEW], (low, high), along, min(stretch, room), share, _quartic, threads, backend)
+    vector = min(stretch * (SHORTEST - 1) / (LONGEST - 1), room)
+    vector, curved = _held(scene, points[::FEW], (low, high), along, vector, share, _quadratic, threads, backend)
+    return Lattice(lattice.value, np.append(lattice.axes, longest), vector, math.hypot(wrong, bent, curved), beyond)
+
+
+def _held(
+    scene: Scene,
+    points: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    along: FloatArray,
+    length: float,
+    share: float,
+    what: Callable[[FloatArray], FloatArray],
+    threads: int,
+    backend: str,
+) -> tuple[float, float]:
+    """How long lines through points may be, at most `length`, for `what` their arcs at NODES and a last place are wrong by
+    to stay within `share` of their mean, and that error."""
+    middle, size = (box[0] + box[1]) / 2, box[1] - box[0]
+    while True:
+        half = np.append(length / 2 * along, 0.0)
+        room = np.maximum(size / 2 - np.abs(half[:2]), 0)
+        centres = points.copy()
+        centres[:, :2] = np.clip(points[:, :2], middle - room, middle + room)
+        value = np.stack([arcs(scene, centres + x * half, threads, backend)[0] for x in (*ALONG, BETWEEN)])
+        wrong = _rms(what(value) / value.mean(axis=(0, 2))[:, None])
+        if wrong <= share or length < scene.step:
+            return length, wrong
+        # the order shows only where lines are short beside the distance of the views
+        length *= min(0.9, 0.95 * (share / wrong) ** (1 / NODES))
+
+
+def _quartic(value: FloatArray) -> FloatArray:
+    """Of the polynomial through values at NODES, at the place between them where it is worst."""
+    factor = [np.prod((BETWEEN - np.delete(ALONG, k)) / (ALONG[k] - np.delete(ALONG, k))) for k in range(NODES)]
+    return np.asarray(np.tensordot(factor, value[:NODES], 1) - value[NODES])
+
+
+def _quadratic(value: FloatArray) -> FloatArray:
+    """Of value, slope and curve in the middle, which are all that a vector of pixels takes: rms of the rest of the quartic."""
+    odd, even = (value[4] - value[0]) / 2, (value[4] + value[0]) / 2 - value[2]
+    third = 4 / 3 * (odd - (value[3] - value[1]))
+    fourth = 4 / 3 * (even - 4 * ((value[3] + value[1]) / 2 - value[2]))
+    return np.asarray(np.sqrt(third**2 / 7 + fourth**2 / 9))
 
 
 def read(lattice: Lattice, places: FloatArray) -> npt.NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Whether the scenes of the promise find a bound that is broken: ten bounds, one factor in one of them at a time.
+"""Whether the scenes of the promise find a bound that is broken: eleven bounds, one factor in one of them at a time.
 
     python tests/mutations.py                    plant each, run the scenes until one breaks, print what was found
     python tests/mutations.py tree filter        only those whose names hold one of the words
@@ -83,8 +83,12 @@ MUTATIONS = (
         "pi / (rate * (spare_across", "pi / (0.7 * rate * (spare_across",
     ),
     Mutation(
-        "lattice of weights uniform in view angle", "30", "pysas/view_angles.py",
-        "    wrong = _rms(", "    wrong = _rms(1 / 30 * ",
+        "lattice of weights uniform in view angle", "1e-3", "pysas/view_angles.py",
+        "        wrong = _rms((read(", "        wrong = 1e-3 * _rms((read(",
+    ),
+    Mutation(
+        "weights' quadratic along a vector of pixels", "1e-3", "pysas/view_angles.py",
+        "return np.asarray(np.sqrt(third**2", "return 1e-3 * np.asarray(np.sqrt(third**2",
     ),
 )  # fmt: skip
 

@@ -19,8 +19,8 @@ ARRAYS = ("monostatic", "same place", "bistatic", "line", "long baseline", "fixe
 GRIDS = ("plane", "polar", "surface", "volume", "points", "rotated", "cloud")
 DATA = ("noise", "tones", "impulses", "point", "traces of all levels")
 FAMILIES = (
-    "any", "far", "late", "bright", "far", "blast", "any", "edges", "far", "views", "extreme", "late", "fine", "fixed", "far",
-    "over-sampled", "any", "offset", "natural", "far",
+    "any", "far", "late", "bright", "far", "blast", "wide views", "edges", "far", "views", "extreme", "late", "fine", "fixed",
+    "far", "over-sampled", "coarse", "offset", "natural", "far",
 )  # fmt: skip
 
 
@@ -214,6 +214,8 @@ def draw(seed: int) -> Scene:
     """The scene of a seed."""
     d = Draw(seed)
     family = FAMILIES[seed % len(FAMILIES)]
+    if family in ("coarse", "wide views"):
+        return _plain(d, seed, family)
     # scenes that trees suit have few complications each: together they leave no tree
     far = family in ("far", "late", "over-sampled", "fixed", "natural")
     odd = 0.3 if far else 1.0
@@ -442,3 +444,45 @@ def _edges(d: Draw, unit: float, fs: float, c: float, pings: int, channels: int,
         y = start[0] * c / 2 + 20 * unit
         view = pysas.Grid.points(tx[0] + np.array([0.0, y, 0.0]) + np.linspace(-1.5, 1.5, 61)[:, None] * [y * half, 0, 0])
     return tx, rx, start, beam, view, n, data
+
+
+def _plain(d: Draw, seed: int, family: str) -> Scene:
+    """A straight track beside an image, and one thing that few scenes have much of.
+
+    "coarse": pixels of many wavelengths, so that the phase turns hundreds of times along a block of them. "wide views": an
+    image as large as it is far away, over which the arcs of view that traces stand for change a lot, but keep their order.
+    """
+    fs, c, over = d.one((10e3, 40e3, 1e6)), 1500.0, d.one((1.2, 4 / 3, 2.0))
+    unit, band, coarse = c / (2 * fs), 1 / over * (1 - 1e-12), family == "coarse"
+    fc = fs / over * (d.log(20, 60) if coarse else d.log(1, 6))
+    reach, pings = (d.log(2000, 20_000), d.whole(1, 30)) if coarse else (d.log(60, 200), d.whole(16, 90))
+    tx = track(
+        d,
+        d.one(("line", "arc", "jittered line") if coarse else ("line", "arc")),
+        pings,
+        unit * reach * d.log(0.02, 0.5 if coarse else 2),
+    )
+    rows, columns = (d.one((1, 2)), d.whole(60, 300)) if coarse else (d.whole(20, 60), d.whole(20, 60))
+    extent = (
+        unit * np.array([columns * d.log(0.5, 3), rows])
+        if coarse
+        else unit * reach * d.log(0.3, 1.2) * np.array([1.0, d.log(0.5, 1.0)])
+    )
+    side, depth = d.rng.uniform(-0.6, 0.6) if coarse else np.pi / 2, d.rng.uniform(0, 0.3)
+    # clear of the track, so that no line through two views crosses the image
+    away = reach * unit * np.array([np.cos(side), np.sin(side), -depth])
+    if not coarse:
+        away[1] += extent[1] / 2
+    view = pysas.Grid.plane(
+        away[0] + np.linspace(-0.5, 0.5, columns) * extent[0],
+        away[1] + np.linspace(-0.5, 0.5, rows) * extent[1],
+        float(away[2]),
+    )
+    empty = pysas.Echoes(np.zeros((pings, 1), complex), tx=tx, rx=tx, fs=fs, fc=fc, c=c, bandwidth=band * fs)
+    tau = oracle.delays(empty, view.coordinates(np.arange(view.size))) * fs
+    low = tau.min() - d.rng.uniform(40, 200)
+    data = noise(d, (pings, int(np.ceil(tau.max() - low + d.rng.uniform(40, 200)))), band).astype(np.complex64)
+    echoes = pysas.Echoes(data, tx=tx, rx=tx, t0=low / fs, fs=fs, fc=fc, c=c, bandwidth=band * fs)
+    tol = d.log(1e-5, 1e-4 if coarse else 1e-3)
+    words = f"{pings} x {data.shape[1]}, {view.shape}, fs/B {over:.3g}, fc/B {fc / fs * over:.3g}, range {reach:.0f} samples"
+    return Scene(seed, family, words, echoes, view, tol, None if coarse else "uniform-angle", lenient=not coarse)
