@@ -136,18 +136,23 @@ def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: 
 
     At one range and one place along its axis a group's phases turn with the angle about that axis by what its transmitters and
     receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev nodes lacks
-    a^n/(n! 2^(n-1)).
+    a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2 cos^2/(2 r) for each
+    sensor q beside the axis, and as q/r of a transmitter and a receiver that are not equally far.
     """
     low, high = sheet.corners[sheet.active][..., 2].min(), sheet.corners[sheet.active][..., 2].max()
     most = 0.0
     for members in groups:
-        both = scene.geometry[members.traces, 0:3] + scene.geometry[members.traces, 3:6] - 2 * members.centre
-        off = float(np.max(np.linalg.norm(both - np.outer(both @ members.axis, members.axis), axis=1)))
+        tx, rx = (scene.geometry[members.traces, k : k + 3] - members.centre for k in (0, 3))
+        across = [v - np.outer(v @ members.axis, members.axis) for v in (tx, rx)]
+        size = np.linalg.norm(across, axis=-1)
+        second = np.sum(size**2, axis=0) + size.min(axis=0) * np.linalg.norm(tx - rx, axis=1)
         _, beside = subapertures.onto(sheet.corners, members, sheet.plane)
         clear = _beside(sheet.corners, beside, members)
         if clear.any():
+            closest = float(beside[clear].min())
+            off = float(np.max(np.linalg.norm(across[0] + across[1], axis=1) + second / closest))
             highest = 2 * np.pi * (scene.fc + scene.band * scene.fs) / scene.c
-            most = max(most, highest * off * (high - low) / 2 / float(beside[clear].min()))
+            most = max(most, highest * off * (high - low) / 2 / closest)
     for count in range(1, MOST_PLANES + 1):
         if most**count / math.factorial(count) / 2 ** (count - 1) <= error:
             nodes = np.cos(np.pi * (2 * np.arange(count)[::-1] + 1) / (2 * count))

@@ -325,8 +325,6 @@ def _site(
     if scene.lattice is not None and not scene.lattice.holds(_node(scene), view_angles.LONGEST):
         return None, "view-angle weights change fast along the rays of sub-images"
     share = SHARE_LEAVES * tol
-    flat = scene.lines is not None and not np.any(scene.lines[1][:, 2])
-    relief = 0.0 if flat else SHARE_RELIEF * tol
     block, near = 0, 0.0
     if scene.lines is not None:
         nodes = native.NODES["float32"] if backend == "cpp" else NODES
@@ -337,6 +335,8 @@ def _site(
     sensors = scene.geometry[scene.heard][:, [2, 5]]
     height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
     frame = backprojection.Frame(grid, scene, block, rows=True)
+    image = sheets(frame)
+    relief = 0.0 if all(sheet.flat for sheet in image) else SHARE_RELIEF * tol
     kinds: list[tuple[tuple[int, ...], tree.Taps]] = []
     for fans in FANS:
         for width, rate, half in TAPS:
@@ -358,7 +358,6 @@ def _site(
     layout = layouts.cleared(
         scene, found[0], height, SHARE_PHASE * share, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol
     )
-    image = sheets(frame)
     part, planes, groups = prospect(scene, image, layout, near, relief)
     seconds = found[1] * part * planes + direct * (1 - part)
     return _Site(frame, image, layout, near, share, relief, height, seconds, planes * groups), ""

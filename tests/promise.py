@@ -33,14 +33,16 @@ def table(outcomes: list[Outcome]) -> str:
     for outcome in outcomes:
         rows[outcome.way].append(outcome)
     lines = [
-        f"{'error / tol':28} {'kept':>6} {'told':>5} {'refused':>7} {'no tree':>7} {'broken':>6} {'median':>8} {'worst':>9}"
+        f"{'error / tol':28} {'kept':>6} {'told':>5} {'refused':>7} {'no tree':>7} {'known':>5} {'broken':>6} "
+        f"{'median':>8} {'worst':>9}"
     ]
     for way in sorted(rows):
-        count = {v: sum(o.verdict == v for o in rows[way]) for v in ("kept", "told", "refused", "none", "broken")}
+        count = {v: sum(o.verdict == v for o in rows[way]) for v in ("kept", "told", "refused", "none", "known", "broken")}
         ratios = [o.ratio for o in rows[way] if o.verdict in ("kept", "told", "broken")]
         middle, worst = (float(np.median(ratios)), float(np.max(ratios))) if ratios else (np.nan, np.nan)
         lines.append(
-            f"{way:28} {count['kept']:6} {count['told']:5} {count['refused']:7} {count['none']:7} {count['broken']:6} "
+            f"{way:28} {count['kept']:6} {count['told']:5} {count['refused']:7} {count['none']:7} {count['known']:5} "
+            f"{count['broken']:6} "
             f"{middle:8.3f} {worst:9.3g}"
         )
     return "\n".join(lines)

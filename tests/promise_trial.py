@@ -47,7 +47,8 @@ class Way:
 
 @dataclass(frozen=True)
 class Outcome:
-    """verdict: "kept", "told" (missed, by no more than the report says), "refused", "none" (no such tree) or "broken"."""
+    """verdict: "kept", "told" (missed, by no more than the report says), "refused", "none" (no such tree), "broken", or
+    "known": an expected failure of tests/test_c_abi.py."""
 
     seed: int
     way: str
@@ -207,6 +208,16 @@ def _by_c(scene: Scene, way: Way) -> tuple[np.ndarray, Any]:
     return found.image, found
 
 
+def _near_ends(scene: Scene, pixels: np.ndarray) -> bool:
+    """Whether pixels need samples so near a record's end that the C library reads them with filters made of W itself."""
+    echoes = scene.echoes
+    t0 = np.broadcast_to(np.asarray(echoes.t0, float), echoes.n_ping)
+    samples = (oracle.delays(echoes, scene.grid.coordinates(pixels)) - t0[:, None]) * echoes.fs
+    away = 3.5 * (0.1 * scene.tol) ** -0.4 + 8
+    inside = (samples >= 0) & (samples <= echoes.n_sample - 1)
+    return bool(np.any(inside & ((samples < away) | (samples > echoes.n_sample - 1 - away))))
+
+
 def judge(scene: Scene, known: Truth, way: Way) -> Outcome:
     """What became of a scene by one way."""
     begun = time.perf_counter()
@@ -242,6 +253,8 @@ def judge(scene: Scene, known: Truth, way: Way) -> Outcome:
     said = getattr(report, "predicted_error", None) or 0.0
     if scene.lenient and notes and ratio * scene.tol <= said:
         return outcome("told", ratio, notes[-1], share)
+    if way.engine == "c" and _near_ends(scene, known.pixels):
+        return outcome("known", ratio, "the C library beside a record's end", share)
     return outcome("broken", ratio, f"predicted {said / scene.tol:.2g}; notes {notes}" if report is not None else "", share)
 
 

@@ -285,6 +285,19 @@ def test_a_straight_track_needs_one_plane_for_any_relief(backend):
     assert error(plan(echoes.data), echoes, grid) <= 1e-4
 
 
+@pytest.mark.parametrize("column", [True, False])
+def test_relief_beside_a_transmitter_and_a_receiver_on_opposite_sides(column, engine):
+    """Their phase centres lie on a line, but what they lie off it counts in second order; columns have no step."""
+    track = line(np.arange(23) * 0.08 - 0.9)
+    echoes = single(survey(track, (track + [0.05, 0.54, 0.78])[:, None], 22.0, samples=1600))
+    y = 24 + np.linspace(-1.9, 1.9, 177)
+    grid = pysas.Grid.surface((np.arange(40) - 20) * 0.02, y[::4], np.tile(0.3 * (y[::4, None] - 24) - 10.5, 40))
+    if column:
+        grid = pysas.Grid.points(np.stack([9 + 0 * y, y, 0.3 * (y - 24) - 10.5], axis=-1)[:, None])
+    image = pysas.ffbp(echoes, grid, 1e-3, fallback=False)
+    assert error(image, echoes, grid) <= 1e-3
+
+
 def test_relief_of_which_some_lies_under_the_track_is_summed_directly(backend, monkeypatch):
     monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
     echoes = tracked(line(np.arange(256) * 0.03 - 3.8), 4.0)

@@ -108,7 +108,7 @@ def test_table_of_outcomes():
     some = ((1, "kept", 0.5, ""), (2, "broken", 3.0, "why"), (3, "told", 1.5, ""))
     outcomes = [Outcome(seed, "cpp focus", verdict, ratio, words) for seed, verdict, ratio, words in some]
     row = promise.table(outcomes).splitlines()[1].split()
-    assert row == ["cpp", "focus", "1", "1", "0", "0", "1", "1.500", "3"]
+    assert row == ["cpp", "focus", "1", "1", "0", "0", "0", "1", "1.500", "3"]
     assert promise.words(outcomes[1]) == "seed 2: cpp focus: broken, error 3 tol why"
 
 
