@@ -31,13 +31,16 @@ from pysas.plans import Choices, Plan
 
 TERMS = 2**10, 2**14  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000
-EXCESS = 1.25  # of tol, by which bounds may be exceeded before anything is done: what is measured is so uncertain
+# Of what is measured beyond the plan's bounds: levels that change within a filter's reach leave more than their mean square
+# says, by 2.2 beside the tail of a pulse in a band as wide as the filter allows
+UNSURE = 3.0
 KEPT = ("sub-images", "relief", "view angles")  # errors of a plan that its tables have no part in
 BESIDE = "bright samples beside"
 TREE = 2.0  # errors of a tree beside bright nodes, in those spread evenly over its reach: 3 at most of 60 scenes
-TREE_EXCESS = 1.5  # as EXCESS: what bright samples pixels do read differs more from what is measured over a tree's reach
+TREE_EXCESS = 1.5  # of tol, by which a tree's may be exceeded: so uncertain is what is measured over its reach
 BRIGHTER = 10.0  # squares of what pixels read: samples elsewhere below that are like any others
 BLOCK = 64  # terms by which shares of a few neighbouring traces' are told
+PIXELS = 8  # at which what all traces have in common is summed
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
 TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
 
@@ -122,12 +125,12 @@ def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: 
     error, planned = _measured(plan, data, some, own, ends)
     if not math.isfinite(error):
         return asked
-    if error <= (EXCESS * plan.budget - _predicted(plan) + planned) * own:
+    if error <= (planned + (plan.budget - _predicted(plan)) / UNSURE) * own:
         return plan
     brighter = math.sqrt(np.max(ends)) / own if own > 0 else 1e12
     plan = _wide(plan, brighter)
     error, planned = _measured(plan, data, some, own, ends)
-    most, level = EXCESS * plan.budget - _predicted(plan) + planned, own
+    most, level = planned + plan.budget - _predicted(plan), own
     if error > most * own:  # what rings at the pixels is in the image as well
         level = math.sqrt(max(_low_passed(plan, data, some) - error**2, own**2))
     if error <= most * level or level == 0 or not math.isfinite(error / level):
@@ -284,7 +287,10 @@ def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray
         if c.n_fft:  # what is not cut away is read as it is, and comes round behind the other end
             kept = within[side][some.trace] if c.taper else True
             distance = np.where(kept, c.n_fft - distance, distance)
-        squares += ends[side, some.trace] * bounds.ringing(distance, scene.band) ** 2
+        cut = ends[side, some.trace]
+        bright = np.maximum(cut - BRIGHTER * own**2, 0)
+        more = (_alike(plan, data) - 1) * bright if bright.any() else 0.0
+        squares += (cut + more) * bounds.ringing(distance, scene.band) ** 2
     if c.n_fft:
         number = np.flatnonzero(data.used)
         middle = np.full(number.size, scene.n_sample // 2)
@@ -298,6 +304,23 @@ def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray
             cut = data.mean_squares(some.trace, middle, c.taper // 2 + 1)
             squares += math.exp(-2 * c.beta) * weight * cut
     return math.sqrt(np.mean(squares)), planned + c.errors.get(hidden, 0.0)
+
+
+def _alike(plan: Plan, data: _Data) -> float:
+    """How much more power than of unrelated samples a pixel has of what rings at one sample of all traces, at some pixels.
+
+    A transmit pulse that a record's start cuts is the same in all of them; W rings at about 0.47 of the sample rate.
+    """
+    scene, pixels = plan.scene, plan.scene.drawn[:PIXELS]
+    heard = np.flatnonzero(scene.heard & data.used)
+    index, lit = scene.read(heard, pixels, np.tile(np.arange(len(pixels)), (heard.size, 1)))
+    weight = data.weight[heard, None] * lit
+    place = scene.geometry[heard, 12, None] * scene.fs + index
+    most = 1.0
+    for frequency in (scene.fc / scene.fs + shift for shift in (-0.47, 0.0, 0.47)):
+        total = np.sum(np.sqrt(weight) * np.exp(2j * np.pi * (frequency * place % 1)), axis=0)
+        most = max(most, float(np.mean(np.abs(total) ** 2) / np.mean(np.sum(weight, axis=0))))
+    return most
 
 
 def _direct(plan: Plan) -> Plan:

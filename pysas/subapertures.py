@@ -126,8 +126,26 @@ class Bands:
     along: float
 
 
-def _outermost(members: Group, geometry: FloatArray, delay: float) -> FloatArray:
-    """Traces at a group's ends in all directions, of the places that sum and difference of its sensors take.
+def _slopes(g: FloatArray, members: Group, medium: Medium, plane: float, angle: FloatArray, ground: FloatArray) -> FloatArray:
+    """Of traces' two-way times (2, trace, ground, angle): across, along a ground distance's arc, and along slant range."""
+    ground = ground[:, None]
+    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    place = np.array([members.centre[0], members.centre[1], plane]) + ground[..., None] * out  # (ground, angle, 3)
+    g = g[:, None, None]
+    there, back = place - g[..., 0:3], place - g[..., 3:6]
+    way, speed = np.linalg.norm(there, axis=-1, keepdims=True), np.linalg.norm(g[..., 6:9], axis=-1)
+    back = back - (way + np.linalg.norm(back, axis=-1, keepdims=True)) / medium.c * g[..., 6:9]
+    slope = there / np.maximum(way, 1e-9) + back / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
+    slope /= (medium.c - speed)[..., None]
+    lateral = np.sum(slope * side, axis=-1) * ground
+    radial = np.sum(slope * out, axis=-1) * slant(ground, members.centre[2] - plane) / np.maximum(ground, 1e-9)
+    return np.stack([lateral, radial])
+
+
+def _outermost(members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> FloatArray:
+    """Traces of which one has a phase as steep as any: those at a group's ends in all directions, and, where transmitter and
+    receiver are apart, those whose phases are the steepest at places of the sub-image.
 
     All traces are looked at: one that differs from its neighbours may be the outermost.
     """
@@ -136,9 +154,13 @@ def _outermost(members: Group, geometry: FloatArray, delay: float) -> FloatArray
         return g
     angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     axes = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [[0.0, 0.0, 1.0]]])
-    tx, rx = g[:, 0:3] - members.centre, g[:, 3:6] + delay * g[:, 6:9] - members.centre
-    places = [(tx + rx) @ axes.T, (tx - rx) @ axes.T]
-    return np.asarray(g[np.unique([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)])])
+    tx, rx = g[:, 0:3] - members.centre, g[:, 3:6] + medium.delay * g[:, 6:9] - members.centre
+    places = [(tx + rx) @ axes.T]
+    if np.any(tx != rx):
+        wide = int(np.clip(math.ceil((angles[1] - angles[0]) / (np.pi / DIRECTIONS)) + 1, 3, 2 * DIRECTIONS + 1))
+        slopes = _slopes(g, members, medium, plane, np.linspace(*angles, wide), np.array(grounds))
+        places += [slope.reshape(len(g), -1) for slope in slopes]
+    return np.asarray(g[np.unique(np.concatenate([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)]))])
 
 
 def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Bands:
@@ -148,19 +170,9 @@ def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, an
     the centre: its phase's gradient, with f = +-B/2. Between the bearings looked at it exceeds what is found there by at most
     an eighth of its second derivative times their distance squared.
     """
-    g = _outermost(members, geometry, medium.delay)[:, None, None]
     count = max(5, math.ceil(min((angles[1] - angles[0]) / APART, 64.0)) + 1)
-    angle, ground = np.linspace(*angles, count), np.linspace(*grounds, 3)[:, None]
-    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
-    place = np.array([members.centre[0], members.centre[1], plane]) + ground[..., None] * out  # (ground, angle, 3)
-    there, back = place - g[..., 0:3], place - g[..., 3:6]
-    way, speed = np.linalg.norm(there, axis=-1, keepdims=True), np.linalg.norm(g[..., 6:9], axis=-1)
-    back = back - (way + np.linalg.norm(back, axis=-1, keepdims=True)) / medium.c * g[..., 6:9]
-    slope = there / np.maximum(way, 1e-9) + back / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
-    slope /= (medium.c - speed)[..., None]
-    lateral = np.sum(slope * side, axis=-1) * ground
-    radial = np.sum(slope * out, axis=-1) * slant(ground, members.centre[2] - plane) / np.maximum(ground, 1e-9)
+    g = _outermost(members, geometry, medium, plane, angles, grounds)
+    lateral, radial = _slopes(g, members, medium, plane, np.linspace(*angles, count), np.linspace(*grounds, 3))
     bend = float(np.max(np.abs(np.diff(lateral, 2, axis=-1))))
     half = medium.bandwidth / 2
     turns = 2 * np.pi * (medium.fc + half)

@@ -386,10 +386,10 @@ def draw(seed: int) -> Scene:
     if d.maybe(0.1):
         nan = "mask"
         dead = d.rng.random((pings, channels)) < 0.2
-        data = np.where(dead[..., None] & (np.arange(n) == n // 2), np.nan, data)
+        if family != "views":
+            data = np.where(dead[..., None] & (np.arange(n) == n // 2), np.nan, data)
     if family == "views":
         weights, nan, lenient = "uniform-angle", "raise", True
-        data = np.nan_to_num(data)
         tol = d.log(1e-3, 0.1)
     start_time = start / fs
     with np.errstate(over="ignore"):

@@ -66,38 +66,71 @@ Axes axes_of(const std::vector<Point>& points) {
     return out;
 }
 
-// How far a group's sensors lie from its centre: where the phase's gradient is steepest is one of the outermost.
-struct Sensors {
-    Point sum, apart;  // transmitter and receiver on arrival, together and from one another
+// Of a trace's two-way time at a place `ahead` of a group's centre on the ground: across, along that ground distance's
+// arc, and along slant range, of which the ground's is 1/stretch.
+struct Slope {
+    double lateral, radial;
 };
 
-// Traces at a group's ends in all directions, of the places that sum and difference of its sensors take. All traces are
-// looked at: one that differs from its neighbours may be the outermost.
-Numbers outermost(const Group& group, const Geometry& geometry) {
+Slope slope_of(const Trace& trace, const Model& model, const Point& place, const Point& ahead, double ground,
+               double stretch) {
+    const Point there = place - point(trace.tx), velocity = point(trace.velocity), side{-ahead.y, ahead.x, 0};
+    const double way = std::max(pysas::length(there), 1e-9), speed = pysas::length(velocity);
+    Point back = place - point(trace.rx);
+    if (speed > 0) back = back - ((way + pysas::length(back)) / model.c) * velocity;
+    const Point slope = (1 / way) * there + (1 / std::max(pysas::length(back), 1e-9)) * back;
+    return {dot(slope, side) / (model.c - speed) * ground, dot(slope, ahead) / (model.c - speed) * stretch};
+}
+
+// Traces of which one has a phase as steep as any: those at a group's ends in all directions, and, where transmitter
+// and receiver are apart, those whose phases are the steepest at places of the sub-image. All traces are looked at: one
+// that differs from its neighbours may be the outermost.
+Numbers outermost(const Group& group, const Geometry& geometry, double plane, Span angles, Span grounds) {
     const std::size_t count = group.traces.size();
     if (count <= 4) return group.traces;
-    std::vector<Sensors> places;
+    Numbers picked;
+    std::vector<Point> sums;
+    bool alike = true;
     for (const std::int64_t i : group.traces) {
         const Trace& trace = geometry.traces[i];
         const Point tx = point(trace.tx) - group.centre,
                     rx = point(trace.rx) + geometry.delay * point(trace.velocity) - group.centre;
-        places.push_back({tx + rx, tx - rx});
+        sums.push_back(tx + rx);
+        alike = alike && dot(tx - rx, tx - rx) == 0;
     }
+    const auto pick = [&](const auto& value) {
+        std::size_t ends[2] = {};
+        double least = HUGE_VAL, most = -HUGE_VAL;
+        for (std::size_t i = 0; i < count; ++i) {
+            const double at = value(i);
+            if (at < least) least = at, ends[0] = i;
+            if (at > most) most = at, ends[1] = i;
+        }
+        picked.insert(picked.end(), ends, ends + 2);
+    };
     constexpr int directions = 8;  // of half a turn
-    Numbers picked;
     for (int k = 0; k <= directions; ++k) {
         const double angle = pi * k / directions;
         const Point axis = k < directions ? Point{std::cos(angle), std::sin(angle), 0} : Point{0, 0, 1};
-        std::size_t ends[4] = {};
-        double least[2] = {HUGE_VAL, HUGE_VAL}, most[2] = {-HUGE_VAL, -HUGE_VAL};
-        for (std::size_t i = 0; i < count; ++i) {
-            const double at[2] = {dot(places[i].sum, axis), dot(places[i].apart, axis)};
-            for (std::size_t which = 0; which < 2; ++which) {
-                if (at[which] < least[which]) least[which] = at[which], ends[2 * which] = i;
-                if (at[which] > most[which]) most[which] = at[which], ends[2 * which + 1] = i;
+        pick([&](std::size_t i) { return dot(sums[i], axis); });
+    }
+    if (!alike) {
+        const double height = group.centre.z - plane;
+        const int wide = std::clamp(static_cast<int>(std::ceil((angles.high - angles.low) / (pi / directions))) + 1, 3,
+                                    2 * directions + 1);
+        std::vector<Slope> slopes(count);
+        for (const double angle : spread(angles.low, angles.high, wide)) {
+            const Point ahead{std::cos(angle), std::sin(angle), 0};
+            for (const double ground : {grounds.low, grounds.high}) {
+                const double stretch = slant_of(ground, height) / std::max(ground, 1e-9);
+                const Point place = Point{group.centre.x, group.centre.y, plane} + ground * ahead;
+                for (std::size_t i = 0; i < count; ++i)
+                    slopes[i] =
+                        slope_of(geometry.traces[group.traces[i]], geometry.model, place, ahead, ground, stretch);
+                pick([&](std::size_t i) { return slopes[i].lateral; });
+                pick([&](std::size_t i) { return slopes[i].radial; });
             }
         }
-        picked.insert(picked.end(), ends, ends + 4);
     }
     std::sort(picked.begin(), picked.end());
     picked.erase(std::unique(picked.begin(), picked.end()), picked.end());
@@ -365,24 +398,14 @@ Bands bands_of(const Group& group, const Geometry& geometry, double plane, Span 
     for (const double angle : spread(angles.low, angles.high, count))
         out.push_back({std::cos(angle), std::sin(angle), 0});
     Bands bands{0, 0, 0};
-    for (const std::int64_t i : outermost(group, geometry)) {
-        const Trace& trace = geometry.traces[i];
-        const Point velocity = point(trace.velocity);
-        const double speed = pysas::length(velocity);
+    for (const std::int64_t i : outermost(group, geometry, plane, angles, grounds)) {
         for (const double ground : spread(grounds.low, grounds.high, 3)) {
             const double stretch = slant_of(ground, height) / std::max(ground, 1e-9);
             double before[2] = {0, 0};
             for (int k = 0; k < count; ++k) {
                 const Point& ahead = out[static_cast<std::size_t>(k)];
-                const Point side{-ahead.y, ahead.x, 0};
                 const Point place = Point{group.centre.x, group.centre.y, plane} + ground * ahead;
-                const Point there = place - point(trace.tx);
-                const double way = std::max(pysas::length(there), 1e-9);
-                Point back = place - point(trace.rx);
-                if (speed > 0) back = back - ((way + pysas::length(back)) / model.c) * velocity;
-                const Point slope = (1 / way) * there + (1 / std::max(pysas::length(back), 1e-9)) * back;
-                const double radial = dot(slope, ahead) / (model.c - speed) * stretch;  // along slant range
-                const double lateral = dot(slope, side) / (model.c - speed) * ground;
+                const auto [lateral, radial] = slope_of(geometry.traces[i], model, place, ahead, ground, stretch);
                 bands.across = std::max(bands.across, std::abs(lateral));
                 bands.along =
                     std::max(bands.along, half * std::abs(radial) + model.fc * std::abs(radial - 2 / model.c));
