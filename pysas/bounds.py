@@ -58,7 +58,9 @@ def interpolation_error(degree: int, theta: float) -> float:
 
 
 def guard(error: float) -> int:
-    """Zeros that keep wrap-round below `error` (at most 1e-11)."""
+    """Zeros that keep wrap-round below `error`, 1e-12 at least; below the table's 1e-11 they grow as they do in it."""
+    if error < 1e-11:
+        return math.ceil(GUARD[-1] * math.pow(1e-11 / max(error, 1e-12), 0.4))
     index = int(np.ceil(2 * (-np.log10(error) - 1) - 1e-9))
     return GUARD[min(max(index, 0), len(GUARD) - 1)]
 

@@ -42,7 +42,8 @@ def term_ns(
     `part` : of all terms, where the farthest are not summed.
     """
     wide = 1.0 if precision == "float32" else 2.0
-    term, coefficient, line, exact, gathered = COST_NS[native.isa_name() if backend == "cpp" else backend]
+    isa = native.isa_name() if backend == "cpp" else backend
+    term, coefficient, line, exact, gathered = COST_NS[isa]
     own = wide * (exact + gathered * (degree + 1))
     if not block:
         return own
@@ -51,12 +52,12 @@ def term_ns(
         padded = 1.0
         each += CACHE_NS * oversampling * (degree + 1)
     else:
-        lanes = LANES[native.isa_name()] / wide
+        lanes = LANES[isa] / wide
         padded = math.ceil(block / lanes) * lanes / block
         # intervals that a vector of pixels spans, broadside to it
         span = lanes * scene.step * 2 * scene.fs / scene.c * oversampling
         before = mean = 0.0
-        for registers, times in WINDOWS[native.isa_name()]:
+        for registers, times in WINDOWS[isa]:
             below = 1.0 if math.isinf(registers) else scene.flatter((registers * lanes - 1) / max(span, 1e-9))
             mean += (below - before) * times
             before = below

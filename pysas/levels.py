@@ -25,21 +25,24 @@ from pysas import _pool as pool
 from pysas import backprojection, bounds
 from pysas._checks import ComplexArray, FloatArray
 from pysas.choices import WIDE_ERROR, choose, choose_for_leaves
-from pysas.engine import native, preparation, summation
+from pysas.engine import MONOSTATIC, native, preparation, summation
 from pysas.planner import SHARE_LEAVES, SHARE_ROUNDING
 from pysas.plans import Choices, Plan
+from pysas.scene import distances
 
 TERMS = 2**10, 2**14  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000
 # Of what is measured beyond the plan's bounds: levels that change within a filter's reach leave more than their mean square
 # says, by 2.2 beside the tail of a pulse in a band as wide as the filter allows
 UNSURE = 3.0
+EXCESS = 1.25  # of tol, by which what is known of whole records' tables may exceed it before a person is told
 KEPT = ("sub-images", "relief", "view angles")  # errors of a plan that its tables have no part in
 BESIDE = "bright samples beside"
 TREE = 2.0  # errors of a tree beside bright nodes, in those spread evenly over its reach: 3 at most of 60 scenes
 TREE_EXCESS = 1.5  # of tol, by which a tree's may be exceeded: so uncertain is what is measured over its reach
 BRIGHTER = 10.0  # squares of what pixels read: samples elsewhere below that are like any others
 BLOCK = 64  # terms by which shares of a few neighbouring traces' are told
+NOTHING = 0.03  # of the error predicted: the sum of squares hardly changes
 PIXELS = 8  # at which what all traces have in common is summed
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
 TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
@@ -122,15 +125,16 @@ def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: 
             return asked
         if wrong > (TREE_EXCESS * plan.budget - _predicted(plan)) * own:
             plan = _direct(plan)
-    error, planned = _measured(plan, data, some, own, ends)
+    alike = _alike(plan, data) if np.max(ends) > BRIGHTER * own**2 else 1.0
+    error, planned = _measured(plan, data, some, own, ends, alike)
     if not math.isfinite(error):
         return asked
     if error <= (planned + (plan.budget - _predicted(plan)) / UNSURE) * own:
         return plan
-    brighter = math.sqrt(np.max(ends)) / own if own > 0 else 1e12
+    brighter = math.sqrt(np.max(ends) * alike) / own if own > 0 else 1e12
     plan = _wide(plan, brighter)
-    error, planned = _measured(plan, data, some, own, ends)
-    most, level = planned + plan.budget - _predicted(plan), own
+    error, planned = _measured(plan, data, some, own, ends, alike)
+    most, level = planned + EXCESS * plan.budget - _predicted(plan), own
     if error > most * own:  # what rings at the pixels is in the image as well
         level = math.sqrt(max(_low_passed(plan, data, some) - error**2, own**2))
     if error <= most * level or level == 0 or not math.isfinite(error / level):
@@ -188,8 +192,11 @@ def terms_of(plan: Plan) -> Terms:
 def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
     scene = plan.scene
-    corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
     at = scene.geometry[heard]
+    if scene.kind == MONOSTATIC:
+        low, high = ((2 * away / scene.c - at[:, 12]) * scene.fs for away in distances(at[:, 0:3], scene.low, scene.high))
+        return np.asarray(np.clip(np.stack([np.floor(low), np.ceil(high)]), -1, scene.n_sample), dtype=np.int64)
+    corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
     pixels = np.concatenate([corners, np.clip((at[:, 0:3] + at[:, 3:6]) / 2, scene.low, scene.high)])
     pick = np.tile(np.arange(len(corners) + 1), (heard.size, 1))
     pick[:, -1] += np.arange(heard.size)
@@ -264,10 +271,10 @@ def _tree_reach(plan: Plan) -> int:
     return math.ceil(stages * forest.layout.taps.reach / float(forest.rate))
 
 
-def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray) -> tuple[float, float]:
+def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray, alike: float) -> tuple[float, float]:
     """Error, in units of the data's scale, that a plan's tables make of the terms; and what of it is in its bounds.
 
-    Errors of a filter are spread over its reach.
+    Errors of a filter are spread over its reach; `alike` : times the power that bright ends have in an image.
     """
     c, scene, weight = plan.choices, plan.scene, data.weight[some.trace]
     planned = 0.0 if c.wide else c.errors["interpolation"]  # in whole records' tables it is wrong by what is read itself
@@ -289,8 +296,9 @@ def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray
             distance = np.where(kept, c.n_fft - distance, distance)
         cut = ends[side, some.trace]
         bright = np.maximum(cut - BRIGHTER * own**2, 0)
-        more = (_alike(plan, data) - 1) * bright if bright.any() else 0.0
-        squares += (cut + more) * bounds.ringing(distance, scene.band) ** 2
+        loudest = float(bounds.ringing(np.min(distance), scene.band)) ** 2 * float(np.max(cut))
+        if loudest * scene.traces > (NOTHING * c.predicted_error * own) ** 2:
+            squares += (cut + (alike - 1) * bright) * bounds.ringing(distance, scene.band) ** 2
     if c.n_fft:
         number = np.flatnonzero(data.used)
         middle = np.full(number.size, scene.n_sample // 2)
@@ -371,5 +379,5 @@ def _named(plan: Plan, choices: Choices, names: tuple[str, ...] = KEPT) -> Choic
 
 def _with(plan: Plan, choices: Choices) -> Plan:
     other = copy.copy(plan)
-    other.choices, other.reported = choices, dataclasses.asdict(choices)
+    other.choices, other.reported = choices, choices.reported()
     return other

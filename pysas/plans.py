@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +66,10 @@ class Choices:
         """Sum of the bounds."""
         return float(sum(self.errors.values()))
 
+    def reported(self) -> dict[str, Any]:
+        """As `Report` has them."""
+        return vars(self) | {"errors": dict(self.errors)}
+
 
 class Plan:
     """How to image a geometry: call it with data shaped like the echoes' it was made from.
@@ -104,7 +107,7 @@ class Plan:
         self.method, self.forest, self.why_direct = method, forest, why_direct
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
         self.frame = backprojection.Frame(grid, scene, choices.block) if forest is None else forest.frame
-        self.reported = dataclasses.asdict(choices)
+        self.reported = choices.reported()
         self.reader = backprojection.reader_of(choices, scene.band)
         self.silent = scene.why_empty()
         if self.silent:

@@ -57,8 +57,8 @@ class Scene:
         self.each = False  # these are computed pixel by pixel
         self.low, self.high = low, high
         self.bottom, self.top = float(low[2]), float(high[2])
-        near_tx, far_tx = _distances(tx, low, high)
-        near_rx, far_rx = _distances(rx, low, high)
+        near_tx, far_tx = distances(tx, low, high)
+        near_rx, far_rx = distances(rx, low, high)
         speed = np.linalg.norm(geometry[:, 6:9], axis=1)
         self.nearest = float(min(near_tx.min(), near_rx.min()))
         self.farthest = float(max(far_tx.max(), far_rx.max()))
@@ -69,12 +69,9 @@ class Scene:
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
         wanted = None if grid.mask is None else np.flatnonzero(grid.mask)
-        places = (np.arange(SAMPLED) + np.random.default_rng(0).random(SAMPLED)) * (self.pixels / SAMPLED)
-        some = np.unique(places.astype(np.int64))[: self.pixels]
+        some, more = (_spread(number, self.pixels, seed) for seed, number in enumerate((SAMPLED, DRAWN)))
         some = some if wanted is None else wanted[some]
         self._pixels = grid.coordinates(some) - self.origin
-        places = (np.arange(DRAWN) + np.random.default_rng(1).random(DRAWN)) * (self.pixels / DRAWN)
-        more = np.unique(places.astype(np.int64))[: self.pixels]
         self.drawn: FloatArray = grid.coordinates(more if wanted is None else wanted[more]) - self.origin
         self._along = np.zeros(3)
         self._some: tuple[FloatArray, FloatArray, float] | None = None
@@ -223,6 +220,13 @@ def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> 
     return np.broadcast_to(full, (pings, channels)).reshape(-1)
 
 
+def _spread(number: int, count: int, seed: int) -> npt.NDArray[np.int64]:
+    """At most `number` of `count` things, one somewhere in each of equal parts, ascending."""
+    places = (np.arange(number) + np.random.default_rng(seed).random(number)) * (count / number)
+    whole = places.astype(np.int64)
+    return whole[np.diff(whole, prepend=-1) > 0][:count]
+
+
 def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
     """First pixel and step (line, 3) of the grid's last axis, if that is evenly spaced lines, and how far (m) off; else None.
 
@@ -278,7 +282,7 @@ def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+def distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least and largest distance of each point from a box."""
     least = np.linalg.norm(points - np.clip(points, low, high), axis=1)
     far = np.where(np.abs(points - low) > np.abs(points - high), low, high)

@@ -53,7 +53,9 @@ def test_complex64_keeps_tol(scene, engine):
 
 
 def test_complex128_keeps_tol(scene, engine):
+    """Three tolerances a decade; one with Numba, whose transforms take minutes (test_eight_tolerances_per_decade has all)."""
     reachable = DOUBLE[DOUBLE >= (1e-14 * 1000 * 300e3 / 1500 if scene[0] == "far" else 1e-10) * (1 - 1e-9)]
+    reachable = reachable[::3] if engine == "numba" else reachable
     found = errors(scene, np.complex128, reachable, engine)
     assert np.all(found <= reachable), dict(zip(reachable, found, strict=True))
 

@@ -232,13 +232,13 @@ void mean_squares(const View<const Sample, 3>& data, const Places& places, doubl
                 const Sample* trace = &data(ping, channel, 0);
                 const std::int64_t from = std::max<std::int64_t>(places.place[i] - places.reach, 0);
                 const std::int64_t to = std::min(places.place[i] + places.reach, last);
-                double sum = 0;
+                double sum[4] = {0, 0, 0, 0};  // one after another each addition would wait for the one before
                 for (std::int64_t n = from; n <= to; ++n) {
                     const Sample s = trace[n * data.stride[2]];
                     const double a = s.real() * inverse, b = s.imag() * inverse;
-                    sum += a * a + b * b;
+                    sum[n & 3] += a * a + b * b;
                 }
-                out[i] = sum / static_cast<double>(2 * places.reach + 1);
+                out[i] = (sum[0] + sum[1] + sum[2] + sum[3]) / static_cast<double>(2 * places.reach + 1);
             }
         },
         tick);
