@@ -265,7 +265,10 @@ def test_one_scatterer_at_0_db():
         assert found.amplitude[0] == pytest.approx(1, abs=4 / np.sqrt(51))
 
 
-@pytest.mark.parametrize(("snr", "error"), [(60, 1e-4), (30, 2e-3), (20, 6e-3), (10, 2e-2)])
+@pytest.mark.parametrize(
+    ("snr", "error"),
+    [(60, 1e-4), pytest.param(30, 2e-3, marks=pytest.mark.slow), pytest.param(20, 6e-3, marks=pytest.mark.slow), (10, 2e-2)],
+)
 @pytest.mark.parametrize("complex_", (False, True), ids=("real", "complex"))
 @pytest.mark.parametrize("seeds", (range(1), pytest.param(range(1, 6), marks=pytest.mark.slow)), ids=("one", "more"))
 def test_the_papers_square(snr, error, complex_, seeds):

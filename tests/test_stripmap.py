@@ -81,10 +81,10 @@ def test_what_remains_is_the_stationary_phase():
     ("options", "limit"),
     [
         ({"interpolation": "cubic", "zero_padding": 4}, 2e-4),
-        ({"interpolation": "linear", "zero_padding": 16}, 4e-4),
+        pytest.param({"interpolation": "linear", "zero_padding": 16}, 4e-4, marks=pytest.mark.slow),
         ({"interpolation": "sinc", "zero_padding": 4}, 1e-4),
         ({"reference_range": 23.5}, 1e-4),
-        ({"range_bandwidth": 20e3}, 1e-4),
+        pytest.param({"range_bandwidth": 20e3}, 1e-4, marks=pytest.mark.slow),
         ({"along_bandwidth": 170.0}, 1e-4),
     ],
 )
@@ -249,7 +249,7 @@ def test_the_exact_response(thirty):
 LINEAR = {1: {0: 0, 5: -0.27, -10: -1.1, 15: -2.5}, 2: {0: 0, 5: -0.07, -10: -0.27, 15: -0.63}, 4: {15: -0.15}, 8: {15: -0.04}}
 
 
-@pytest.mark.parametrize("padding", LINEAR)
+@pytest.mark.parametrize("padding", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 8])
 def test_linear_stolt_interpolation_loses_as_the_square_of_the_offset(thirty, padding):
     raw = thirty[0]
     image = omega_k(raw, interpolation="linear", zero_padding=padding, reference_range=R0, threads=1)
@@ -294,7 +294,10 @@ FIGURES = {
 }
 
 
-@pytest.mark.parametrize("name", FIGURES)
+MINOR = ("range-Doppler, linear", "range-Doppler, second order", "range-Doppler, none")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in MINOR else name for name in FIGURES])
 def test_published_figures(thirty, name):
     make, expected = FIGURES[name]
     found = losses(make(thirty[0]), thirty, expected)

@@ -52,10 +52,11 @@ def test_complex64_keeps_tol(scene, engine):
     assert np.median(found / SINGLE) > 0.02  # and no more is bought than was asked
 
 
-def test_complex128_keeps_tol(scene, engine):
-    """Three tolerances a decade; one with Numba, whose transforms take minutes (test_eight_tolerances_per_decade has all)."""
+def test_complex128_keeps_tol(scene, engine, request):
+    """Three tolerances a decade by the best instruction set, one by the others, one in two decades with Numba, whose transforms
+    take minutes: test_eight_tolerances_per_decade has all."""
     reachable = DOUBLE[DOUBLE >= (1e-14 * 1000 * 300e3 / 1500 if scene[0] == "far" else 1e-10) * (1 - 1e-9)]
-    reachable = reachable[::3] if engine == "numba" else reachable
+    reachable = reachable[:: 6 if engine == "numba" else 1 if request.node.callspec.id.endswith(engines()[-1][1] or "") else 3]
     found = errors(scene, np.complex128, reachable, engine)
     assert np.all(found <= reachable), dict(zip(reachable, found, strict=True))
 
