@@ -57,6 +57,12 @@ def moved(rows, vector):
 DIFFERING = {
     "transmitter and receiver swap": (line() + moved(ALTERNATE, [0, -9, 0]), line() + moved(~ALTERNATE, [0, -9, 0]), None),
     "odd sensors lie far off their middle": (line() + moved(ALTERNATE, [0, 8, 0]), line() - moved(ALTERNATE, [0, 8, 0]), None),
+    # the steepest is the last odd ping, at no end of sums or differences
+    "odd sensors lie aslant off their middle": (
+        line(127, 0.004) + moved(ALTERNATE[:127], [2.5, 2.5, 0]),
+        line(127, 0.004) - moved(ALTERNATE[:127], [2.5, 2.5, 0]),
+        None,
+    ),
     "odd receivers are fast": (line(), line(), moved(ALTERNATE, [0, 60, 0])),
     "one ping far from its neighbours": (line() + moved(np.arange(128) == 57, [0, 4, 0]), line(), None),
     "fixed transmitter": (0 * line(), line(), None),
