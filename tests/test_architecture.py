@@ -30,17 +30,8 @@ SCRIPTS = {
 
 DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
 TOOLS = {"pysas._pool", "pysas._leaving"}  # threads for any loop: without NumPy, so without a delay
-EDGE = {
-    "pysas",
-    "pysas.io",
-    "pysas._files",
-    "pysas._containers",
-    "pysas.plot",
-    "pysas.cli",
-    "pysas.__main__",
-    "pysas.commands",
-    "pysas.demo",
-    "pysas.tracks",
+EDGE = {"pysas", "pysas.io", "pysas._files", "pysas._containers", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
+    name for name in MODULES if name.startswith("pysas.cli")
 }
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = (
