@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import pysas
-from bench.one_way import C, even, record, smooth
+from bench.one_way_scenes import C, even, record, smooth
 from bench.timing import timed
 from pysas.reference import enhance, map_to_line, omega_k, one_way
 

@@ -106,6 +106,40 @@ def plan(
     UserWarning
         No term can be summed, and why (recorded window, mask, weights): images will be zero.
     """
+    return _plan(echoes, grid, tol, method, threads, backend, weights, nan, fallback)
+
+
+@_checks.usual_errors
+def plan_ahead(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    method: str = "auto",
+    threads: int | None = None,
+    backend: str = "auto",
+    nan: str = "raise",
+) -> Plan:
+    """The `plan` of echoes, raw ones too, for what they will be when compressed.
+
+    Compression changes samples alone: not their number, rate, type or band, nor the geometry, which is all that a plan is
+    made from. The plan takes compressed data.
+    """
+    return _plan(echoes, grid, tol, method, threads, backend, nan=nan, raw=True)
+
+
+def _plan(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float,
+    method: str,
+    threads: int | None,
+    backend: str,
+    weights: npt.ArrayLike | str | None = None,
+    nan: str = "raise",
+    fallback: bool = True,
+    raw: bool = False,
+) -> Plan:
+    """`raw` : whether echoes may be raw as yet."""
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
     if not isinstance(grid, Grid):
@@ -113,7 +147,7 @@ def plan(
     _checks.choice("method", method, METHODS)
     _checks.choice("nan", nan, ("raise", "mask"))
     name = engine.backend_name(backend)
-    if not echoes.compressed:
+    if not (echoes.compressed or raw):
         raise ValueError("echoes: raw (compressed=False): expected range-compressed echoes, see pysas.compress")
     if echoes.fs < 1.1 * echoes.occupied_bandwidth * (1 - 1e-9):
         raise ValueError(

@@ -111,7 +111,7 @@ class Plan:
         self.reader = backprojection.reader_of(choices, scene.band)
         self.silent = scene.why_empty()
         if self.silent:
-            warnings.warn(self.silent, stacklevel=4)
+            warnings.warn(self.silent, stacklevel=5)
 
     def __call__(
         self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None

@@ -12,35 +12,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
+from import_graph import GRAPH, MODULES, ROOT, SCRIPTS, imports, reach, within
 
 import pysas
 
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "pysas"
-MODULES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path.read_text(encoding="utf-8")
-    for path in sorted(PACKAGE.rglob("*.py"))
-}
-PACKAGES = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}
-SCRIPTS = {
-    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
-    for folder in ("bench", "examples")
-    for path in sorted((ROOT / folder).rglob("*.py"))
-}
-
 DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
 TOOLS = {"pysas._pool", "pysas._leaving"}  # threads for any loop: without NumPy, so without a delay
-EDGE = {
-    "pysas",
-    "pysas.io",
-    "pysas._files",
-    "pysas._containers",
-    "pysas.plot",
-    "pysas.cli",
-    "pysas.__main__",
-    "pysas.commands",
-    "pysas.demo",
-    "pysas.tracks",
+EDGE = {"pysas", "pysas.io", "pysas._files", "pysas._containers", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
+    name for name in MODULES if name.startswith("pysas.cli")
 }
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = (
@@ -60,63 +39,6 @@ PUBLIC_FUNCTIONS = {
     "backproject", "ffbp", "focus", "plan", "simulate", "compress", "load", "save", "from_phase_history", "show_config",
     "get_include", "get_library",
 }  # fmt: skip
-
-
-def within(name: str, package: str | Iterable[str]) -> bool:
-    """Whether a dotted name is a package (or one of several) or lies in it."""
-    packages = (package,) if isinstance(package, str) else package
-    return any(name == one or name.startswith(one + ".") for one in packages)
-
-
-def imports(text: str, module: str = "pysas.x", modules: Iterable[str] = (), packages: Iterable[str] = ()) -> set[str]:
-    """Dotted names a module imports anywhere; `from a import b` gives a.b where that is a module, else a.
-
-    Without `modules` every `from a import b` gives a.b. Imports by importlib with a constant name count as well.
-    """
-    known = set(modules)
-    found = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parents = module.split(".") if module in packages else module.split(".")[:-1]
-                parents = parents[: len(parents) - (node.level - 1)]
-                base = ".".join([*parents, *([node.module] if node.module else [])])
-            for alias in node.names:
-                full = f"{base}.{alias.name}"
-                found.add(full if not known or full in known else base)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in ("import_module", "__import__"):
-            found.update(a.value for a in node.args[:1] if isinstance(a, ast.Constant) and isinstance(a.value, str))
-    return found
-
-
-GRAPH = {name: {i for i in imports(text, name, MODULES, PACKAGES) if within(i, "pysas")} for name, text in MODULES.items()}
-
-
-def reach(start: str, graph: dict[str, set[str]]) -> set[str]:
-    """Modules that `start` imports, directly or not. The root package is not followed: it imports everything."""
-    found: set[str] = set()
-    left = [start]
-    while left:
-        for name in graph.get(left.pop(), set()) - found - {"pysas"}:
-            found.add(name)
-            left.append(name)
-    return found - {start}
-
-
-def test_the_tree_is_read() -> None:
-    assert {"pysas", "pysas.engine", "pysas.engine._numba", "pysas.reference.direct", "pysas.planner"} <= MODULES.keys()
-    assert {"pysas.echoes", "pysas.grid"} <= GRAPH["pysas.reference.direct"]
-
-
-def test_imports_are_found() -> None:
-    text = "import a.b\nfrom c import d\ndef f():\n    from .. import e\n    from .g import h\n    import_module('k.l')"
-    assert imports(text, "p.q.r") == {"a.b", "c.d", "p.e", "p.q.g.h", "k.l"}
-    assert imports("from . import e", "p.q", packages={"p.q"}) == {"p.q.e"}
-    assert imports("from p import f, e", "p.q", {"p.e"}) == {"p", "p.e"}
-    assert reach("a", {"a": {"b"}, "b": {"c", "pysas"}, "c": {"a"}, "pysas": {"d"}}) == {"b", "c"}
 
 
 # Rules 1 and 2: C++

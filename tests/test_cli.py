@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas import cli, demo
+from pysas import cli
+from pysas.cli import demo_scene
 from pysas.framing import default_grid
 
 
@@ -159,7 +160,7 @@ def test_demo_in_a_process(tmp_path):
 
 
 def test_demo_scene_has_its_dark_object():
-    points, amplitudes, targets = demo._scene(1)
+    points, amplitudes, targets = demo_scene._scene(1)
     assert targets >= 30
     floor, strength = points[targets:], np.abs(amplitudes[targets:])
     inside = np.hypot(floor[:, 0] + 3.0, floor[:, 1] - 23.7) < 0.3  # the hull's middle

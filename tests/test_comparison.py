@@ -12,7 +12,7 @@ import pytest
 
 import pysas
 from pysas import cli, comparison
-from pysas._limit import TooLongError, at_most
+from pysas.comparison.limit import TooLongError, at_most
 
 PULSE = pysas.LFM(100e3, 15e3, 1e-3, "tukey", 0.3)
 GRID = pysas.Grid.plane(0.01 * np.arange(-40, 41), 8.0 + 0.01 * np.arange(-40, 41))

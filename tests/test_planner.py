@@ -145,6 +145,26 @@ def test_explain_names_the_other_engine_and_its_time(long):
     assert "ffbp: the grid lies outside the recorded window" in text
 
 
+@pytest.mark.parametrize("method", planner.METHODS)
+def test_a_plan_before_compression_is_that_of_compressed_echoes(method):
+    """Only where it is said that they are not yet: raw echoes are no echoes to image."""
+    raw = straight().replace(compressed=False, pulse=pysas.LFM(100e3, 30e3, 1e-3))
+    echoes = pysas.compress(raw)
+    before = planner.plan_ahead(raw, PLANE, 1e-3, method)
+    assert str(before) == str(pysas.plan(echoes, PLANE, 1e-3, method))
+    assert np.array_equal(before(echoes.data).data, pysas.plan(echoes, PLANE, 1e-3, method)(echoes.data).data)
+    with pytest.raises(ValueError, match=r"raw \(compressed=False\): expected range-compressed echoes"):
+        pysas.plan(raw, PLANE, 1e-3, method)
+
+
+def test_a_warning_of_a_plan_names_the_line_that_asked_for_it():
+    echoes, far = straight(8), pysas.Grid.plane([0.0], [900.0])
+    for ask in (lambda: pysas.plan(echoes, far), lambda: planner.plan_ahead(echoes, far)):
+        with pytest.warns(UserWarning, match="outside the recorded window") as caught:
+            ask()
+        assert [warning.filename for warning in caught] == [__file__]
+
+
 @pytest.mark.parametrize("off", [0.0, 0.009, 0.011])
 def test_fourier_algorithms_are_alternatives_where_they_take_the_track(off):
     """One ping `off` wavelengths beside an even line: a hundredth is what the Fourier algorithms allow."""

@@ -1,14 +1,14 @@
-"""A panel of the figure that `pysas.comparison` draws."""
+"""A comparison as a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from pysas.comparison import Row
+from pysas import _checks
+from pysas.comparison.rows import Comparison, Row, front
 
 _ENGINES = ("backproject", "ffbp")
 # marker and colour of what is not an engine
@@ -20,12 +20,56 @@ _STYLES = {
 _KERNELS = {"numba": "s", "avx512": "o", "avx2": "^", "baseline": "v"}
 
 
-def draw(ax: Any, rows: Sequence[Row], front: Sequence[int]) -> None:
+def figure(comparisons: Mapping[str, Comparison]) -> Any:
+    """Error against run time, log-log: a panel a comparison, by title, the front in grey behind it.
+
+    Parameters
+    ----------
+    comparisons : mapping of str to Comparison
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of no window: `savefig` writes it.
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise _checks.optional("matplotlib", "plot") from None
+    columns = min(len(comparisons), 3)
+    rows = -(-len(comparisons) // columns)
+    size = (8.5, 7.5) if columns == 1 else (5.2 * columns, 4.6 * rows + 1.2)
+    plot = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(plot)
+    axes = plot.subplots(rows, columns, squeeze=False).ravel()
+    handles: dict[str, Any] = {}
+    for ax, (title, comparison) in zip(axes, comparisons.items(), strict=False):
+        _draw(ax, comparison.rows, front(comparison.rows))
+        ax.set_title(title, fontsize=10, parse_math=False)  # may be the name of a file
+        handles |= {text: handle for handle, text in zip(*ax.get_legend_handles_labels(), strict=True)}
+    for ax in axes[len(comparisons) :]:
+        ax.remove()
+    if len(axes) == len(comparisons):
+        plot.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=3 if columns == 1 else 5)
+    else:  # where panels are missing
+        plot.legend(list(handles.values()), list(handles), loc="lower right", ncols=2)
+    plot.draw_without_rendering()  # places, and so which labels would meet, are known from here
+    for ax, comparison in zip(axes, comparisons.values(), strict=False):
+        _name_settings(ax, comparison.rows)
+    return plot
+
+
+def _draw(ax: Any, rows: Sequence[Row], best: Sequence[int]) -> None:
     """Points of every method, those of an engine joined, over the front."""
     from matplotlib.ticker import LogLocator
 
-    best = [rows[i] for i in front]
-    ax.plot([r.seconds for r in best], [r.error for r in best], color="0.85", lw=7, zorder=0, label="Pareto front")
+    ax.plot([rows[i].seconds for i in best], [rows[i].error for i in best], color="0.85", lw=7, zorder=0, label="Pareto front")
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if row.method == method]
         engine = method.split(", ")[0] in _ENGINES
@@ -46,7 +90,7 @@ def draw(ax: Any, rows: Sequence[Row], front: Sequence[int]) -> None:
     ax.grid(alpha=0.3, which="both", lw=0.5)
 
 
-def name_settings(ax: Any, rows: Sequence[Row]) -> None:
+def _name_settings(ax: Any, rows: Sequence[Row]) -> None:
     """Settings beside the points of methods that have several, where they meet the fewest labels, points and edges."""
     places = ax.transData.transform([(row.seconds, row.error) for row in rows])
     taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in places]

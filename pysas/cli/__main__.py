@@ -1,0 +1,7 @@
+"""`python -m pysas.cli` is the command line, as `python -m pysas` is."""
+
+import sys
+
+from pysas.cli import main
+
+sys.exit(main())

@@ -1,0 +1,169 @@
+"""What commands share: their form, progress, options, echoes and grids from files, and files to write."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pysas import _files, framing, io, plot
+from pysas._containers import container
+from pysas.echoes import Echoes
+from pysas.grid import Grid
+from pysas.image import Image
+
+
+class Progress:
+    """A bar on a terminal, a plain line a step otherwise, nothing with --json; always on standard error."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self.terminal = sys.stderr is not None and sys.stderr.isatty()
+
+    def step(self, label: str) -> Callable[[float], None] | None:
+        """A callback for one step of the work."""
+        if self.quiet:
+            return None
+        if not self.terminal:
+            print(f"{label} ...", file=sys.stderr, flush=True)
+            return None
+        began = time.monotonic()
+
+        def show(share: float) -> None:
+            width = 30
+            bar = "#" * int(share * width)
+            seconds = time.monotonic() - began
+            end = "\n" if share >= 1 else ""
+            print(f"\r{label:<10} [{bar:<{width}}] {100 * share:3.0f} % {seconds:5.1f} s", end=end, file=sys.stderr, flush=True)
+
+        return show
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its name, what it does in one line, the arguments it has, and what returns its exit code."""
+
+    name: str
+    text: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace, Progress], int]
+
+
+def add_threads(sub: argparse.ArgumentParser) -> None:
+    """--threads"""
+    sub.add_argument("--threads", type=int, metavar="N", help="worker threads (default: all processors)")
+
+
+def add_overwrite(sub: argparse.ArgumentParser) -> None:
+    """--overwrite, of every command that writes"""
+    sub.add_argument("--overwrite", action="store_true", help="replace files that are there (never what is read)")
+
+
+def add_scene(sub: argparse.ArgumentParser) -> None:
+    """A file of echoes and where they are imaged, for `chosen_grid`, and how."""
+    sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
+    sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="along-track span, m")
+    sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="across-track span, m")
+    sub.add_argument("--z", type=float, metavar="Z", help="height of the imaged plane, m (default: 0)")
+    sub.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
+    sub.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
+    sub.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
+    add_overwrite(sub)
+    sub.add_argument("--nan", choices=("raise", "mask"), default="raise", help="traces with non-finite samples")
+    add_threads(sub)
+
+
+def _span(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected MIN:MAX in metres") from None
+    if not low < high:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected MIN below MAX")
+    return low, high
+
+
+def load_echoes(path: str) -> Echoes:
+    """Echoes from a file; ValueError where it holds an image."""
+    item = io.load(path)
+    if not isinstance(item, Echoes):
+        raise ValueError(f"{path}: found an image, expected echoes")
+    return item
+
+
+def silenced(echoes: Echoes) -> Echoes:
+    """Traces that hold a non-finite sample set to zero: compression would spread it, and zeros add nothing to an image."""
+    bad = np.array([~np.isfinite(traces).all(axis=-1) for traces in echoes.traces])
+    if not bad.any():
+        return echoes
+    warnings.warn(f"{np.count_nonzero(bad)} of {bad.size} traces left out: non-finite samples", stacklevel=2)
+    data = echoes.data.copy()
+    data[bad if data.ndim == 3 else bad[:, 0]] = 0
+    return echoes.replace(data=data)
+
+
+def chosen_grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, str]:
+    """The grid that the options of `add_scene` ask for, and how it came about."""
+    if arguments.grid is not None:
+        if any(value is not None for value in (arguments.x, arguments.y, arguments.z, arguments.spacing)):
+            raise ValueError("--grid: expected without --x, --y, --z and --spacing")
+        item = io.load(arguments.grid)
+        if not isinstance(item, Image):
+            raise ValueError(f"--grid {arguments.grid}: found echoes, expected an image")
+        return item.grid, f"grid of {arguments.grid}"
+    z = 0.0 if arguments.z is None else arguments.z
+    if arguments.x is not None and arguments.y is not None and arguments.spacing is not None:
+        axes = [framing.span(limits[0], limits[1], arguments.spacing) for limits in (arguments.x, arguments.y)]
+        return Grid.plane(axes[0], axes[1], z), "given spans"
+    grid, how = framing.default_grid(echoes, z, arguments.spacing)
+    if arguments.x is None and arguments.y is None:
+        return grid, how
+    axes = []
+    for name, limits in (("x", arguments.x), ("y", arguments.y)):
+        axis = grid.axes[name]
+        step = arguments.spacing
+        if step is None:  # an axis of one pixel has no step: the other's will do
+            step = float(np.diff(axis if axis.size > 1 else grid.axes["y" if name == "x" else "x"])[0])
+        axes.append(axis if limits is None else framing.span(limits[0], limits[1], step))
+    return Grid.plane(axes[0], axes[1], z), f"given spans, else {how}"
+
+
+def has_matplotlib() -> bool:
+    """Whether pictures can be drawn."""
+    return importlib.util.find_spec("matplotlib") is not None
+
+
+def require_places(
+    inputs: Iterable[str | None],
+    *,
+    data: str | None = None,
+    text: str | None = None,
+    picture: str | None = None,
+    overwrite: bool,
+) -> None:
+    """Raise now what writing would raise after the work, and where it would cost a file."""
+    if picture is not None and not has_matplotlib():
+        raise ImportError("--png: matplotlib is not installed: pip install 'pysas-sonar[plot]'")
+    if picture is not None:
+        plot.picture_format(picture)
+    if data is not None:
+        container(data)
+    outputs = [("-o", data), ("-o", text), ("--png", picture)]
+    _files.check_outputs(
+        [(option, path) for option, path in outputs if path is not None],
+        [path for path in inputs if path is not None],
+        overwrite,
+    )
+
+
+def write_text(path: str | Path, text: str, overwrite: bool) -> None:
+    """UTF-8; what a file's name holds beside text, escaped."""
+    with _files.replacing(path, overwrite=overwrite) as file:
+        file.write(text.encode("utf-8", "backslashreplace"))
