@@ -15,13 +15,16 @@ import scipy.fft
 from pysas import _checks, bounds, costs
 from pysas.costs import term_ns
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native
-from pysas.plans import Choices
 from pysas.scene import Scene
+from pysas.settings import Choices
 
 SHARE_INTERPOLATION = 0.85
 SHARE_WIDE = 0.3  # the same of tables of whole records: all they hold may be at the band's edge, where bounds leave no margin
 SHARE_PHASE = 0.05  # each: delay polynomial, sine and cosine
 SHARE_WRAP = 0.1  # wrap-round at a record's hard end
+# of tol, where sums go through a tree: for the sums of its leaves; what the rest may cost is the tree's
+SHARE_LEAVES = 0.35
+SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 BATCH_BYTES = 24 * 2**20
 LONGEST_FILTER = 400
 # of a filter at twice the sample rate: its Kaiser window's error beside what pixels read, exp(-pi sqrt(18^2 - 1))

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pysas.engine import native
+from pysas.forest import Forest
 from pysas.scene import Scene
-
-if TYPE_CHECKING:
-    from pysas.forest import Forest
-    from pysas.plans import Choices
+from pysas.settings import Choices
 
 # ns of one thread beside others: a term, each of its coefficients, a line of a block for each trace, a term with its own
 # exact delay, each of its coefficients; Numba's coefficients by pairs, and for their table's size in the cache

@@ -1,4 +1,4 @@
-"""Fast factorised back-projection: the sum of back-projection through a tree of sub-apertures, within a stated error.
+"""Fast factorised back-projection: the sum of back-projection through a tree of sub-apertures.
 
 `accumulate` carries out on the engine what forest.py laid out. Choices are made in planner.py. docs/ffbp.md tells what bounds
 the error.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,63 +19,9 @@ from pysas.engine.steps import Setting, Stack, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
 from pysas.forest import batches
-from pysas.image import Image
+from pysas.frames import Frame
+from pysas.plans import Plan
 from pysas.tiles import TILE_ROWS, Sheet, pixels_of
-
-if TYPE_CHECKING:
-    from pysas.backprojection import Frame
-    from pysas.echoes import Echoes
-    from pysas.grid import Grid
-    from pysas.plans import Plan
-
-
-def ffbp(
-    echoes: Echoes,
-    grid: Grid,
-    tol: float = 1e-3,
-    fallback: bool = True,
-    threads: int | None = None,
-    backend: str = "auto",
-    weights: npt.ArrayLike | str | None = None,
-    nan: str = "raise",
-    out: ComplexArray | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Image:
-    """The image of `backproject`, through a tree of sub-apertures: about N^2 log N work where that takes N^3.
-
-    Parameters
-    ----------
-    echoes : Echoes
-        Range-compressed echoes; any track and array, moving receivers included.
-    grid : Grid
-    tol : float
-        Relative error that is kept, as in `backproject`.
-    fallback : bool
-        Whether terms that cannot be factorised, or not within `tol`, are summed directly: pixels near the track or across
-        the ends of records or beams, relief too high for its track, tolerances below 3e-5. False: an error says why.
-        `image.report.factorised_share` tells how much went through the tree.
-    threads, backend, weights, nan, out, progress
-        As in `backproject`.
-
-    Returns
-    -------
-    Image
-
-    Raises
-    ------
-    ValueError, TypeError
-        As `backproject`; also where `fallback` is False and terms would have to be summed directly: by their geometry, or
-        as samples beside those that pixels read are too bright for trees.
-
-    Notes
-    -----
-    Memory beyond input and image: one batch of tables (about 25 MB) and of leaves, and one sub-image of each level above.
-    """
-    from pysas import backprojection, planner
-
-    backprojection.check_out_of(out, echoes, grid)
-    plan = planner.plan(echoes, grid, tol, "ffbp", threads, backend, weights, nan, fallback)
-    return plan(echoes.data, out, progress)
 
 
 def accumulate(

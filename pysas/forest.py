@@ -11,7 +11,6 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +20,11 @@ from pysas._checks import FloatArray
 from pysas.echoes import EDGE
 from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
+from pysas.frames import Frame
 from pysas.scene import Scene
+from pysas.settings import Choices
 from pysas.subapertures import BoolArray, Medium, Readings, Subtree
 from pysas.tiles import Sheet, Tree
-
-if TYPE_CHECKING:
-    from pysas.backprojection import Frame
-    from pysas.plans import Choices
 
 MOST_PLANES = 6
 WIDE = 0.3  # a tile's radius, seen from a group, at most: rad

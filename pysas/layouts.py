@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.optimize
@@ -15,10 +14,8 @@ from pysas._checks import FloatArray
 from pysas.costs import tree_ns
 from pysas.engine.tree import Taps
 from pysas.forest import Layout, reception
+from pysas.frames import Frame
 from pysas.scene import Scene
-
-if TYPE_CHECKING:
-    from pysas.backprojection import Frame
 
 HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as taps fail slowly beyond their band
 

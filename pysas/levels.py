@@ -22,13 +22,14 @@ import numpy.typing as npt
 import scipy.fft
 
 from pysas import _pool as pool
-from pysas import backprojection, bounds
+from pysas import bounds
 from pysas._checks import ComplexArray, FloatArray
-from pysas.choices import WIDE_ERROR, choose, choose_for_leaves
+from pysas.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
 from pysas.engine import MONOSTATIC, native, preparation, summation
-from pysas.planner import SHARE_LEAVES, SHARE_ROUNDING
-from pysas.plans import Choices, Plan
+from pysas.frames import Frame
+from pysas.plans import Plan, Terms
 from pysas.scene import distances
+from pysas.settings import Choices, reader_of
 
 TERMS = 2**10, 2**14  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000
@@ -46,19 +47,6 @@ NOTHING = 0.03  # of the error predicted: the sum of squares hardly changes
 PIXELS = 8  # at which what all traces have in common is summed
 ENDS = 3  # samples beside a record's first and last that tell how bright it is cut
 TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
-
-
-@dataclass(frozen=True)
-class Terms:
-    """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
-
-    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
-    """
-
-    trace: npt.NDArray[np.int64]
-    place: npt.NDArray[np.int64]
-    heard: npt.NDArray[np.int64]
-    edges: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -339,10 +327,10 @@ def _direct(plan: Plan) -> Plan:
     if found is None:
         choices = _named(plan, choose(plan.scene, plan.budget, plan.backend), KEPT[-1:])
         found = _with(plan, choices)
-        found.reader = backprojection.reader_of(choices, plan.scene.band)
+        found.reader = reader_of(choices, plan.scene.band)
         found.forest = None
         found.why_direct = "samples beside those that pixels read are too bright for trees"
-        found.frame = backprojection.Frame(plan.grid, plan.scene, choices.block)
+        found.frame = Frame(plan.grid, plan.scene, choices.block)
         plan.others["direct"] = found
     return found
 
@@ -366,7 +354,7 @@ def _wide(plan: Plan, ends: float) -> Plan:
             found = _wide(_direct(plan), ends)
         else:
             found = _with(plan, _named(plan, choices))
-            found.reader = backprojection.reader_of(found.choices, plan.scene.band)
+            found.reader = reader_of(found.choices, plan.scene.band)
         plan.others[name] = found
     return found
 

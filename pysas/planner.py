@@ -9,35 +9,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks, bounds, costs, engine, layouts, view_angles
-from pysas._checks import ComplexArray
-from pysas.choices import SHARE_PHASE, choose, choose_delay, choose_for_leaves, even_split
+from pysas.choices import SHARE_LEAVES, SHARE_PHASE, SHARE_ROUNDING, choose, choose_delay, choose_for_leaves, even_split
 from pysas.costs import forest_seconds, prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import NODES, native, tree
+from pysas.execution import execute
 from pysas.forest import Forest, Layout, grow, prospect
+from pysas.frames import Frame
 from pysas.grid import Grid
-from pysas.image import Image
-from pysas.plans import Choices, Plan
+from pysas.plans import Plan
 from pysas.scene import Scene
+from pysas.settings import Choices
 from pysas.tiles import Sheet, sheets
 
-if TYPE_CHECKING:
-    from pysas import backprojection
-
 METHODS = ("auto", "backprojection", "ffbp")
-ROWS = 32
-# of tol, where sums go through a tree: for the sums of its leaves; what the rest may cost is the tree's
-SHARE_LEAVES = 0.35
-SHARE_ROUNDING = 0.4  # of the leaves' share, for float32 offsets in a block
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
 SHARE_LIT = 0.3  # of tol, at most, for what these change where views come in and go at beams' edges
 SHARE_POSITIONS = 0.03  # of tol, for polynomials of positions in merges
@@ -175,51 +167,8 @@ def _plan(
     chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", fault)
     return Plan(
         echoes, grid, tol, scene if forest is None else forest.scene, choices, count, name, nan, chosen, forest, why, left,
-        fallback or method != "ffbp",
+        fallback or method != "ffbp", execute, other_engine,
     )  # fmt: skip
-
-
-def focus(
-    echoes: Echoes,
-    grid: Grid,
-    tol: float = 1e-3,
-    threads: int | None = None,
-    backend: str = "auto",
-    weights: npt.ArrayLike | str | None = None,
-    nan: str = "raise",
-    out: ComplexArray | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Image:
-    """The image of `backproject` by whichever engine has the least predicted time: `backproject` or `ffbp`.
-
-    Parameters
-    ----------
-    echoes : Echoes
-        Range-compressed echoes; any track and array, moving receivers included.
-    grid : Grid
-    tol : float
-        Relative error that is kept, whichever engine it is; as in `backproject`.
-    threads, backend, weights, nan, out, progress
-        As in `backproject`.
-
-    Returns
-    -------
-    Image
-        `image.report.method` names the engine; `plan(echoes, grid, tol).explain()` says why.
-
-    Raises
-    ------
-    ValueError, TypeError
-        As `backproject`.
-
-    Notes
-    -----
-    O(pings channels pixels) for few pings or pixels, about O(N^2 log N) for N of each a side. `plan` for data to come.
-    """
-    from pysas import backprojection
-
-    backprojection.check_out_of(out, echoes, grid, progress)
-    return plan(echoes, grid, tol, "auto", threads, backend, weights, nan)(echoes.data, out, progress)
 
 
 def other_engine(plan: Plan) -> str:
@@ -290,7 +239,7 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
 class _Site:
     """Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is grown."""
 
-    frame: backprojection.Frame
+    frame: Frame
     image: list[Sheet]
     layout: Layout
     near: float
@@ -344,8 +293,6 @@ def _site(
 
     `direct` : of a sum of all terms without trees, s.
     """
-    from pysas import backprojection
-
     if tol < TREE_TOL * (1 - 1e-9):
         return None, f"tol below {TREE_TOL:g}"
     if scene.farthest > FARTHEST * scene.c / scene.fc:
@@ -368,7 +315,7 @@ def _site(
         block = even_split(scene.line_length, block)
     sensors = scene.geometry[scene.heard][:, [2, 5]]
     height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
-    frame = backprojection.Frame(grid, scene, block, rows=True)
+    frame = Frame(grid, scene, block, rows=True)
     image = sheets(frame)
     relief = 0.0 if all(sheet.flat for sheet in image) else SHARE_RELIEF * tol
     kinds: list[tuple[tuple[int, ...], tree.Taps]] = []

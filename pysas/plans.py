@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,57 +17,24 @@ from pysas.costs import prepare_seconds, sum_seconds
 from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, native, summation
 from pysas.forest import Forest
+from pysas.frames import Frame
 from pysas.grid import Grid
 from pysas.image import Image
 from pysas.scene import Scene
-
-if TYPE_CHECKING:
-    from pysas import levels
+from pysas.settings import Choices, reader_of
 
 
 @dataclass(frozen=True)
-class Choices:
-    """What the planner settled on.
+class Terms:
+    """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
 
-    precision : "float32" or "float64" of the inner loop; degree, oversampling : of the interpolation; n_fft, n_fine,
-    length : transform lengths and samples kept of each trace; margin : of these, on each side of what pixels need;
-    taper : samples of smooth cut (Kaiser, beta) at each end; block : pixels per delay polynomial (0: exact delay per
-    pixel); near : distance (m) below which delays are exact; trigonometry : terms of the sine polynomial; batch : traces
-    prepared at a time; errors : bound of each contribution; run : traces summed in float32 before these sums are added in
-    float64, or 0; phases, step, taps : of the filter that makes the coefficients (C++; oversampling is phases/step of the
-    samples, or twice that after transforms), or 0 where transforms make them; wide : tables are made of whole records in
-    float64, for samples that pixels do not read are bright.
+    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
     """
 
-    precision: str
-    degree: int
-    oversampling: float
-    n_fft: int
-    n_fine: int
-    length: int
-    margin: int
-    taper: int
-    beta: float
-    block: int
-    near: float
-    trigonometry: int
-    batch: int
-    delay: str
-    errors: dict[str, float]
-    run: int = 0
-    phases: int = 0
-    step: int = 0
-    taps: int = 0
-    wide: bool = False
-
-    @property
-    def predicted_error(self) -> float:
-        """Sum of the bounds."""
-        return float(sum(self.errors.values()))
-
-    def reported(self) -> dict[str, Any]:
-        """As `Report` has them."""
-        return vars(self) | {"errors": dict(self.errors)}
+    trace: npt.NDArray[np.int64]
+    place: npt.NDArray[np.int64]
+    heard: npt.NDArray[np.int64]
+    edges: npt.NDArray[np.int64]
 
 
 class Plan:
@@ -90,25 +56,26 @@ class Plan:
         threads: int,
         backend: str,
         nan: str,
-        method: str = "backprojection",
-        forest: Forest | None = None,
-        why_direct: str = "",
-        budget: float = 0.0,
-        fallback: bool = True,
+        method: str,
+        forest: Forest | None,
+        why_direct: str,
+        budget: float,
+        fallback: bool,
+        execute: Callable[[Plan, npt.ArrayLike, ComplexArray | None, Callable[[float], None] | None], Image],
+        alternative: Callable[[Plan], str],
     ) -> None:
-        from pysas import backprojection
-
         self.budget = budget  # of tol: what choices were made for
+        self.execute, self.alternative = execute, alternative
         self.fallback = fallback  # whether trees may be left for data that are too bright for them
-        self.terms: levels.Terms | None = None  # looked at when data arrive, see levels.py
+        self.terms: Terms | None = None  # looked at when data arrive, see levels.py
         self.others: dict[str, Plan] = {}  # that take this one's place for some data
         self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
         self.grid, self.scene, self.nan = grid, scene, nan
         self.method, self.forest, self.why_direct = method, forest, why_direct
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
-        self.frame = backprojection.Frame(grid, scene, choices.block) if forest is None else forest.frame
+        self.frame = Frame(grid, scene, choices.block) if forest is None else forest.frame
         self.reported = choices.reported()
-        self.reader = backprojection.reader_of(choices, scene.band)
+        self.reader = reader_of(choices, scene.band)
         self.silent = scene.why_empty()
         if self.silent:
             warnings.warn(self.silent, stacklevel=5)
@@ -145,9 +112,7 @@ class Plan:
         -----
         O(traces (pixels + n_fft log n_fft)); memory beyond input and output: one batch of coefficients, about 25 MB.
         """
-        from pysas import backprojection
-
-        return backprojection.execute(self, data, out, progress)
+        return self.execute(self, data, out, progress)
 
     def stream(self, batches: Iterable[npt.ArrayLike]) -> Iterator[Image]:
         """Images of many data sets, in their order: the next is read on a thread while one is summed.
@@ -271,8 +236,6 @@ class Plan:
         The other engine comes with its predicted time, or why it cannot keep `tol`; the Fourier algorithms of
         `pysas.reference` are named where the track is straight and even.
         """
-        from pysas import planner
-
         c, scene = self.choices, self.scene
         lines = [str(self), "  left out"]
         silent = scene.traces - int(np.count_nonzero(scene.heard))
@@ -290,7 +253,7 @@ class Plan:
         ]
         lines += [f"    - {text}" for used, text in rows if used]
         lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
-        lines += ["  alternatives", f"    - {planner.other_engine(self)}"]
+        lines += ["  alternatives", f"    - {self.alternative(self)}"]
         if scene.even_line():
             first = "" if scene.kind == MONOSTATIC and scene.channels == 1 else ", of reference.phase_centres"
             lines += [

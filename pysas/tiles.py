@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from pysas import subapertures
 from pysas._checks import FloatArray
+from pysas.frames import Frame
 from pysas.subapertures import BoolArray, Subtree
-
-if TYPE_CHECKING:
-    from pysas.backprojection import Frame
 
 TILE_ROWS = 32
 

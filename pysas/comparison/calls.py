@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from pysas import reference
-from pysas.backprojection import backproject
 from pysas.echoes import Echoes
-from pysas.factorised import ffbp
 from pysas.grid import Grid
 from pysas.image import Image
+from pysas.imaging import backproject, ffbp
 
 Call = Callable[[], Image]
 

@@ -136,7 +136,7 @@ class Reader:
 
 
 class Frame(Protocol):
-    """The image as lines of pixels; see backprojection.Frame."""
+    """The image as lines of pixels; see frames.Frame."""
 
     straight: bool
     first: FloatArray

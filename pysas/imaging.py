@@ -1,0 +1,222 @@
+"""The doorways: echoes and a grid in, an image out, within a stated relative error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy.typing as npt
+
+from pysas import _checks, planner
+from pysas._checks import ComplexArray
+from pysas.echoes import Echoes
+from pysas.grid import Grid
+from pysas.image import Image
+
+
+def backproject(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    weights: npt.ArrayLike | str | None = None,
+    nan: str = "raise",
+    out: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """Sum s(tau) exp(+2j pi fc tau) over pings and channels at every pixel of `grid`.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Range-compressed echoes; any track and array, moving receivers included.
+    grid : Grid
+    tol : float
+        Relative error that is kept: ||I - I_exact||_2 <= tol max(||I_exact||_2, ||R||_2) over the grid, where I_exact is
+        `pysas.reference.exact` and R the incoherent level it returns. complex64: 1e-1 to 1e-5; complex128: down to
+        max(1e-10, 1e-14 range/wavelength).
+    threads : int, optional
+        Worker threads; default PYSAS_NUM_THREADS, else all processors. The image is the same for any number.
+    backend : {"auto", "numba", "cpp"}
+    weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
+        Real or complex factors of the terms; 0 leaves a trace out. "uniform-angle": each term weighs what
+        `pysas.circular.view_weights` says, the arc of view angles that it stands for, so that the point spread function
+        is the same all over the image; a small part of `tol` is theirs. Where views change their order over the image every
+        pixel has its own arcs, some twenty times slower; `print(plan)` tells.
+    nan : {"raise", "mask"}
+        Traces that hold non-finite samples: an error, or left out of the sum.
+    out : complex array of grid.shape, optional
+        Filled in place and returned as the image's data; of the data's dtype, in memory of its own.
+    progress : callable, optional
+        Called now and then from the calling thread with the share done, 0 to 1.
+
+    Returns
+    -------
+    Image
+        Of the data's dtype; `image.report` says what was done.
+
+    Raises
+    ------
+    ValueError
+        Raw or under-sampled echoes, a `tol` that cannot be met, non-finite samples, wrong shapes, an `out` that overlaps the
+        data or itself, an image beyond its dtype's range.
+    TypeError
+        Wrong types or dtypes; masked entries of a masked array.
+
+    Warns
+    -----
+    UserWarning
+        No term is summed, and why (recorded window, beam, mask, weights, non-finite samples): the image is zero. An image so
+        small that its dtype does not hold it within tol.
+
+    Notes
+    -----
+    O(pings channels pixels) after O(pings channels samples log samples); memory beyond input and image about 25 MB.
+    """
+    _check_out_of(out, echoes, grid, progress)
+    plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
+    return plan(echoes.data, out, progress)
+
+
+def ffbp(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    fallback: bool = True,
+    threads: int | None = None,
+    backend: str = "auto",
+    weights: npt.ArrayLike | str | None = None,
+    nan: str = "raise",
+    out: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """The image of `backproject`, through a tree of sub-apertures: about N^2 log N work where that takes N^3.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Range-compressed echoes; any track and array, moving receivers included.
+    grid : Grid
+    tol : float
+        Relative error that is kept, as in `backproject`.
+    fallback : bool
+        Whether terms that cannot be factorised, or not within `tol`, are summed directly: pixels near the track or across
+        the ends of records or beams, relief too high for its track, tolerances below 3e-5. False: an error says why.
+        `image.report.factorised_share` tells how much went through the tree.
+    threads, backend, weights, nan, out, progress
+        As in `backproject`.
+
+    Returns
+    -------
+    Image
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `backproject`; also where `fallback` is False and terms would have to be summed directly: by their geometry, or
+        as samples beside those that pixels read are too bright for trees.
+
+    Notes
+    -----
+    Memory beyond input and image: one batch of tables (about 25 MB) and of leaves, and one sub-image of each level above.
+    """
+    _check_out_of(out, echoes, grid)
+    plan = planner.plan(echoes, grid, tol, "ffbp", threads, backend, weights, nan, fallback)
+    return plan(echoes.data, out, progress)
+
+
+def focus(
+    echoes: Echoes,
+    grid: Grid,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    weights: npt.ArrayLike | str | None = None,
+    nan: str = "raise",
+    out: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Image:
+    """The image of `backproject` by whichever engine has the least predicted time: `backproject` or `ffbp`.
+
+    Parameters
+    ----------
+    echoes : Echoes
+        Range-compressed echoes; any track and array, moving receivers included.
+    grid : Grid
+    tol : float
+        Relative error that is kept, whichever engine it is; as in `backproject`.
+    threads, backend, weights, nan, out, progress
+        As in `backproject`.
+
+    Returns
+    -------
+    Image
+        `image.report.method` names the engine; `plan(echoes, grid, tol).explain()` says why.
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `backproject`.
+
+    Notes
+    -----
+    O(pings channels pixels) for few pings or pixels, about O(N^2 log N) for N of each a side. `plan` for data to come.
+    """
+    _check_out_of(out, echoes, grid, progress)
+    return planner.plan(echoes, grid, tol, "auto", threads, backend, weights, nan)(echoes.data, out, progress)
+
+
+def backproject_arrays(
+    data: Any,
+    pixels: Any,
+    *,
+    fs: float,
+    fc: float,
+    tx: Any,
+    rx: Any,
+    c: float = 1500.0,
+    t0: Any = 0.0,
+    velocity: Any = None,
+    bandwidth: float | None = None,
+    weights: npt.ArrayLike | str | None = None,
+    tol: float = 1e-3,
+    threads: int | None = None,
+    backend: str = "auto",
+    out: ComplexArray | None = None,
+) -> ComplexArray:
+    """`backproject` for other people's programs: plain arrays in, the image's array out.
+
+    Parameters
+    ----------
+    data : (ping, channel, sample) or (ping, sample) complex array
+        Range-compressed samples, as in `Echoes`; anything with `__array_interface__`, `__dlpack__` on the CPU, or the
+        buffer protocol, read where it lies.
+    pixels : (..., 3) array
+        Pixels, m. Where the last but one axis runs along even lines, as in a regular image, the fast path is taken.
+    fs, fc, tx, rx, c, t0, velocity, bandwidth
+        As in `Echoes`.
+    weights, tol, threads, backend
+        As in `backproject`.
+    out : complex array of shape pixels.shape[:-1], optional
+        Filled in place and returned.
+
+    Returns
+    -------
+    complex array of shape pixels.shape[:-1]
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `Echoes`, `Grid.points` and `backproject` do.
+    """
+    echoes = Echoes(data, fs=fs, fc=fc, tx=tx, rx=rx, c=c, t0=t0, velocity=velocity, bandwidth=bandwidth)
+    return backproject(echoes, Grid.points(pixels), tol, threads, backend, weights, out=out).data
+
+
+def _check_out_of(out: ComplexArray | None, echoes: Any, grid: Any, progress: Any = None) -> None:
+    """Check `out` and `progress` before any work, where what `out` must fit is what it should be."""
+    _checks.callback("progress", progress)
+    if isinstance(echoes, Echoes) and isinstance(grid, Grid):
+        _checks.target(out, grid.shape, echoes.dtype)
+        _checks.apart(out, echoes.data)
