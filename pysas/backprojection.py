@@ -20,6 +20,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import Echoes
 from pysas.engine import BLOCK, native, preparation, summation
 from pysas.engine.summation import Survey, Tile, Totals
+from pysas.engine.traces import MODEL, record
 from pysas.grid import Grid
 from pysas.image import Image, Report
 from pysas.scene import Scene
@@ -291,16 +292,18 @@ def _starts(plan: plans.Plan) -> npt.NDArray[np.int64]:
 
 
 def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
-    """The geometry of traces `order` as the kernels take it."""
+    """Traces `order` as the kernels take them."""
     scene, choices = plan.scene, plan.choices
-    geometry = scene.geometry[order]
+    trace = scene.trace[order]
     start = _starts(plan)[order]
-    geometry[:, 13] = start
+    trace["kept"] = start
     near = choices.near if choices.block else np.inf
-    sound = scene.c, scene.fc, scene.fs
-    model = np.array([*sound, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near, choices.run])
+    model = record(
+        MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=choices.oversampling, last=scene.n_sample - 1,
+        cos_beam=scene.cos_beam, near=near, run=choices.run,
+    )  # fmt: skip
     lattice = None if scene.lattice is None else scene.lattice.of(order)
-    return Survey(geometry, start, scene.weights[order], scene.kind, model, lattice)
+    return Survey(trace, start, scene.weights[order], scene.kind, model, lattice)
 
 
 def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator | native.Reader:
