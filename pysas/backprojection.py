@@ -294,7 +294,7 @@ def _starts(plan: plans.Plan) -> npt.NDArray[np.int64]:
 def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     """Traces `order` as the kernels take them."""
     scene, choices = plan.scene, plan.choices
-    trace = scene.trace[order]
+    trace = scene.trace.take(order)
     start = _starts(plan)[order]
     trace["kept"] = start
     near = choices.near if choices.block else np.inf

@@ -206,7 +206,7 @@ def _within(
 
     Those that are sure to, by boxes about all sensors; of the others some traces tell most, and all traces the rest.
     """
-    g, last = scene.trace[order], scene.n_sample - 1
+    g, last = scene.trace.take(order), scene.n_sample - 1
     more = np.maximum(2 * reach, ends)
     boxes = [(g[name].min(axis=0), g[name].max(axis=0)) for name in ("tx", "rx")]
     path = sum(np.linalg.norm(middle - (low + high) / 2, axis=1) for low, high in boxes)
@@ -224,7 +224,7 @@ def _within(
         left = unsure[inside[unsure] | ~heard[unsure]]
         if not left.size:
             break
-        t = (g[some] if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
+        t = (g.take(some) if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
         # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
         there, back = (np.sqrt(sum((middle[left, k] - t[name][..., k]) ** 2 for k in range(3))) for name in ("tx", "rx"))
         speeds, widths = np.sqrt(np.sum(t["velocity"] ** 2, axis=-1)), 2 * radius[left] + more
@@ -392,7 +392,7 @@ def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
         ends = ends[ends[:, 0] < ends[:, 1]] + i0
         centre = leaves.place[i, :3]
         low, high = (ends[:, 0].min() - 1) * step, (ends[:, 1].max() + 1) * step
-        g = scene.trace[traces]
+        g = scene.trace.take(traces)
         apart = np.linalg.norm(g["tx"] - centre, axis=1) + np.linalg.norm(g["rx"] - centre, axis=1)
         speed = np.linalg.norm(g["velocity"], axis=1)
         begin = np.floor(((np.maximum(2 * low - apart, 0)) / (scene.c + speed) - g["t0"]) * scene.fs).astype(np.int64)

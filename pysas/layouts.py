@@ -25,7 +25,7 @@ HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as tap
 
 def _track(scene: Scene) -> FloatArray:
     """Phase centres of the traces heard, seen from above."""
-    return np.asarray(subapertures.phase_centres(scene.trace[scene.heard], reception(scene))[:, :2])
+    return np.asarray(subapertures.phase_centres(scene.trace.compress(scene.heard), reception(scene))[:, :2])
 
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:
@@ -137,7 +137,7 @@ def cleared(scene: Scene, layout: Layout, height: float, error: float, merge: fl
     `error` : for the delays along leaves' rays; `merge` : for each merge, whose children lie off their parent's centre;
     `ends` : for what a record's end rings with beyond the band that nodes hold.
     """
-    heard = scene.trace[scene.heard]
+    heard = scene.trace.compress(scene.heard)
     baseline = float(np.max(np.linalg.norm(heard["tx"] - heard["rx"], axis=1)))
     extents = layout.length / np.cumprod([1, *layout.fans])
     away = [_clear(scene, height, (extent - part) / 2, layout.taps.rate, merge) for extent, part in itertools.pairwise(extents)]

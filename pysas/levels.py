@@ -192,7 +192,7 @@ def terms_of(plan: Plan) -> Terms:
 def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
     scene = plan.scene
-    at = scene.trace[heard]
+    at = scene.trace.take(heard)
     if scene.kind == MONOSTATIC:
         low, high = ((2 * away / scene.c - at["t0"]) * scene.fs for away in distances(at["tx"], scene.low, scene.high))
         return np.asarray(np.clip(np.stack([np.floor(low), np.ceil(high)]), -1, scene.n_sample), dtype=np.int64)

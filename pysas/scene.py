@@ -105,7 +105,7 @@ class Scene:
         """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
         if self._some is None:
             # a stride might meet one channel alone
-            some = self.trace[np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)]
+            some = self.trace.take(np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64))
             tx, rx, boresight = (some[name].T[..., None] for name in ("tx", "rx", "boresight"))
             pixel, along = self._pixels.T, self._along.T
             # (trace, pixel), coordinate by coordinate: sums over a last axis of three are slow
@@ -127,7 +127,7 @@ class Scene:
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
-        some = self.trace[traces]
+        some = self.trace.take(traces)
         tx, rx, velocity, boresight = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight"))
         pixel = [pixels[:, k][pick] for k in range(3)]
         away = [pixel[k] - tx[k] for k in range(3)]

@@ -150,7 +150,7 @@ def _outermost(members: Group, trace: Records, medium: Medium, plane: float, ang
 
     All traces are looked at: one that differs from its neighbours may be the outermost.
     """
-    g = trace[members.traces]
+    g = trace.take(members.traces)
     if len(g) <= 4:
         return g
     angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
@@ -161,7 +161,7 @@ def _outermost(members: Group, trace: Records, medium: Medium, plane: float, ang
         wide = int(np.clip(math.ceil((angles[1] - angles[0]) / (np.pi / DIRECTIONS)) + 1, 3, 2 * DIRECTIONS + 1))
         slopes = _slopes(g, members, medium, plane, np.linspace(*angles, wide), np.array(grounds))
         places += [slope.reshape(len(g), -1) for slope in slopes]
-    return np.asarray(g[np.unique(np.concatenate([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)]))])
+    return g.take(np.unique(np.concatenate([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)])))
 
 
 def bands(members: Group, trace: Records, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Bands:

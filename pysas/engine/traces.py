@@ -1,6 +1,7 @@
 """What every kernel is told of a trace and of the medium, as records: the structs Trace and Model of csrc/core/kernels.hpp.
 
-C++ takes the records themselves, and no others; Numba's kernels take their reals.
+C++ takes the records themselves, and no others; Numba's kernels take their reals. Records are picked by `take` or `compress`,
+which copy whole ones: an index copies field by field, five times as long.
 """
 
 from __future__ import annotations
