@@ -295,15 +295,14 @@ def _survey(plan: plans.Plan, order: npt.NDArray[np.int64]) -> Survey:
     """Traces `order` as the kernels take them."""
     scene, choices = plan.scene, plan.choices
     trace = scene.trace.take(order)
-    start = _starts(plan)[order]
-    trace["kept"] = start
+    trace["kept"] = _starts(plan)[order]
     near = choices.near if choices.block else np.inf
     model = record(
         MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=choices.oversampling, last=scene.n_sample - 1,
         cos_beam=scene.cos_beam, near=near, run=choices.run,
     )  # fmt: skip
     lattice = None if scene.lattice is None else scene.lattice.of(order)
-    return Survey(trace, start, scene.weights[order], scene.kind, model, lattice)
+    return Survey(trace, scene.weights[order], scene.kind, model, lattice)
 
 
 def reader_of(choices: plans.Choices, band: float) -> preparation.Interpolator | native.Reader:

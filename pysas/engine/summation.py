@@ -31,19 +31,23 @@ def rows_per_task(n_fine: int) -> int:
 class Survey:
     """Traces as the kernels want them, coordinates about the scene's centre.
 
-    trace : (trace,) TRACE; start : (trace,) first sample kept (may lie before the record); weights : (trace,);
-    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : () MODEL; lattice : weights that change from pixel to pixel, at
-    places (y, x, trace), float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of
-    the arithmetic's type, with rows for whole blocks, or None.
+    trace : (trace,) TRACE, whose first sample kept may lie before the record; weights : (trace,); kind : _numba.MONOSTATIC,
+    STOP_AND_HOP or MOVING; model : () MODEL; lattice : weights that change from pixel to pixel, at places (y, x, trace),
+    float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of the arithmetic's type,
+    with rows for whole blocks, or None.
     """
 
     trace: Records
-    start: npt.NDArray[np.int64]
     weights: ComplexArray
     kind: int
     model: Records
     lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
     own: npt.NDArray[Any] | None = None
+
+    @property
+    def start(self) -> npt.NDArray[np.int64]:
+        """Number of the first sample kept of each trace."""
+        return np.asarray(self.trace["kept"], dtype=np.int64)
 
     def part(self, begin: int, end: int) -> Survey:
         """Traces [begin, end)."""
@@ -52,7 +56,7 @@ class Survey:
             lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
         own = None if self.own is None else np.ascontiguousarray(self.own[:, begin:end])
         some = slice(begin, end)
-        return Survey(self.trace[some], self.start[some], self.weights[some], self.kind, self.model, lattice, own)
+        return Survey(self.trace[some], self.weights[some], self.kind, self.model, lattice, own)
 
     def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
         """The lattice as Numba's kernels take it: without traces where there is none."""
@@ -209,19 +213,18 @@ def accumulate(
         part = order[begin : begin + batch]
         clock = time.perf_counter()
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
-        some = slice(begin, begin + part.size)
-        prepare(traces, part, survey.start[some], survey.weights[some], scale, reader, table, threads)
-        geometry = numbered(survey.trace[some], reader.intervals)
+        some = survey.part(begin, begin + part.size)
+        prepare(traces, part, some.start, some.weights, scale, reader, table, threads)
+        geometry = numbered(some.trace, reader.intervals)
         flat_table = table.reshape(-1).view(kind)
         now = time.perf_counter()
         prepared += now - clock
 
-        now_summed = survey.part(begin, begin + part.size)
-        lattice, axes = now_summed.weighing()
+        lattice, axes = some.weighing()
 
         def add(
             task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table, lattice: Any = lattice, axes: Any = axes,
-            own: Any = now_summed.own,
+            own: Any = some.own,
         ) -> None:  # fmt: skip
             tile = tiles[task]
             coords, blocks, active = locate(tile)
