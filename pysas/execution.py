@@ -17,6 +17,7 @@ from pysas import _checks, amplitudes, bounds, engine, factorised, levels, view_
 from pysas._checks import ComplexArray
 from pysas.engine import BLOCK, native, summation
 from pysas.engine.summation import Survey, Totals
+from pysas.engine.traces import MODEL, record
 from pysas.frames import Frame
 from pysas.grid import Grid
 from pysas.image import Image, Report
@@ -169,13 +170,14 @@ def _starts(plan: Plan) -> npt.NDArray[np.int64]:
 
 
 def _survey(plan: Plan, order: npt.NDArray[np.int64]) -> Survey:
-    """The geometry of traces `order` as the kernels take it."""
+    """Traces `order` as the kernels take them."""
     scene, choices = plan.scene, plan.choices
-    geometry = scene.geometry[order]
-    start = _starts(plan)[order]
-    geometry[:, 13] = start
+    trace = scene.trace.take(order)
+    trace["kept"] = _starts(plan)[order]
     near = choices.near if choices.block else np.inf
-    sound = scene.c, scene.fc, scene.fs
-    model = np.array([*sound, choices.oversampling, scene.n_sample - 1.0, scene.cos_beam, near, choices.run])
+    model = record(
+        MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=choices.oversampling, last=scene.n_sample - 1,
+        cos_beam=scene.cos_beam, near=near, run=choices.run,
+    )  # fmt: skip
     lattice = None if scene.lattice is None else scene.lattice.of(order)
-    return Survey(geometry, start, scene.weights[order], scene.kind, model, lattice)
+    return Survey(trace, scene.weights[order], scene.kind, model, lattice)

@@ -139,7 +139,7 @@ def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: 
     low, high = sheet.corners[sheet.active][..., 2].min(), sheet.corners[sheet.active][..., 2].max()
     most = 0.0
     for members in groups:
-        tx, rx = (scene.geometry[members.traces, k : k + 3] - members.centre for k in (0, 3))
+        tx, rx = (scene.trace[name][members.traces] - members.centre for name in ("tx", "rx"))
         across = [v - np.outer(v @ members.axis, members.axis) for v in (tx, rx)]
         size = np.linalg.norm(across, axis=-1)
         second = np.sum(size**2, axis=0) + size.min(axis=0) * np.linalg.norm(tx - rx, axis=1)
@@ -203,14 +203,14 @@ def _within(
 
     Those that are sure to, by boxes about all sensors; of the others some traces tell most, and all traces the rest.
     """
-    g, last = scene.geometry[order], scene.n_sample - 1
+    g, last = scene.trace.take(order), scene.n_sample - 1
     more = np.maximum(2 * reach, ends)
-    boxes = [(g[:, k : k + 3].min(axis=0), g[:, k : k + 3].max(axis=0)) for k in (0, 3)]
+    boxes = [(g[name].min(axis=0), g[name].max(axis=0)) for name in ("tx", "rx")]
     path = sum(np.linalg.norm(middle - (low + high) / 2, axis=1) for low, high in boxes)
     spread = 2 * radius + more + sum(float(np.linalg.norm(high - low)) for low, high in boxes) / 2
-    speed = float(np.sqrt(np.max(np.sum(g[:, 6:9] ** 2, axis=1))))
-    earliest = ((path - spread) / (scene.c + speed) - g[:, 12].max()) * scene.fs
-    latest = ((path + spread) / (scene.c - speed) - g[:, 12].min()) * scene.fs
+    speed = float(np.sqrt(np.max(np.sum(g["velocity"] ** 2, axis=1))))
+    earliest = ((path - spread) / (scene.c + speed) - g["t0"].max()) * scene.fs
+    latest = ((path + spread) / (scene.c - speed) - g["t0"].min()) * scene.fs
     inside = (earliest >= 0) & (latest <= last)
     heard = inside.copy()
     unsure = np.flatnonzero(~inside & (latest >= -EDGE) & (earliest <= last + EDGE))
@@ -221,12 +221,12 @@ def _within(
         left = unsure[inside[unsure] | ~heard[unsure]]
         if not left.size:
             break
-        t = (g[some] if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
+        t = (g.take(some) if number < 0 else g[number * at_once : (number + 1) * at_once])[:, None]
         # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
-        there, back = (np.sqrt(sum((middle[left, k] - t[..., i + k]) ** 2 for k in range(3))) for i in (0, 3))
-        speeds, widths = np.sqrt(np.sum(t[..., 6:9] ** 2, axis=-1)), 2 * radius[left] + more
-        low = ((there + back - widths) / (scene.c + speeds) - t[..., 12]) * scene.fs
-        high = ((there + back + widths) / (scene.c - speeds) - t[..., 12]) * scene.fs
+        there, back = (np.sqrt(sum((middle[left, k] - t[name][..., k]) ** 2 for k in range(3))) for name in ("tx", "rx"))
+        speeds, widths = np.sqrt(np.sum(t["velocity"] ** 2, axis=-1)), 2 * radius[left] + more
+        low = ((there + back - widths) / (scene.c + speeds) - t["t0"]) * scene.fs
+        high = ((there + back + widths) / (scene.c - speeds) - t["t0"]) * scene.fs
         inside[left] &= np.all((low >= 0) & (high <= last), axis=0)
         heard[left] |= np.any((high >= -EDGE) & (low <= last + EDGE), axis=0)
     return inside & heard, heard
@@ -235,7 +235,7 @@ def _within(
 def _cut(scene: Scene, length: float) -> tuple[list[npt.NDArray[np.int64]], FloatArray]:
     """Traces of each of the longest groups, and all phase centres."""
     order = np.flatnonzero(scene.heard & (scene.weights != 0))
-    centres = subapertures.phase_centres(scene.geometry, reception(scene))
+    centres = subapertures.phase_centres(scene.trace, reception(scene))
     if not order.size:
         return [], centres
     return [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, length)], centres
@@ -359,7 +359,7 @@ def _plant(
             subtree = None
             if reads is not None:
                 subtree = subapertures.plant(
-                    members, places, layout.fans, scene.geometry, centres, medium, sheet.plane, reads, step, layout.taps, left,
+                    members, places, layout.fans, scene.trace, centres, medium, sheet.plane, reads, step, layout.taps, left,
                     compiled,
                 )  # fmt: skip
                 if subtree is None:
@@ -389,11 +389,11 @@ def _widen(scene: Scene, subtree: Subtree, step: float) -> None:
         ends = ends[ends[:, 0] < ends[:, 1]] + i0
         centre = leaves.place[i, :3]
         low, high = (ends[:, 0].min() - 1) * step, (ends[:, 1].max() + 1) * step
-        g = scene.geometry[traces]
-        apart = np.linalg.norm(g[:, 0:3] - centre, axis=1) + np.linalg.norm(g[:, 3:6] - centre, axis=1)
-        speed = np.linalg.norm(g[:, 6:9], axis=1)
-        begin = np.floor(((np.maximum(2 * low - apart, 0)) / (scene.c + speed) - g[:, 12]) * scene.fs).astype(np.int64)
-        end = np.ceil(((2 * high + apart) / (scene.c - speed) - g[:, 12]) * scene.fs).astype(np.int64)
+        g = scene.trace.take(traces)
+        apart = np.linalg.norm(g["tx"] - centre, axis=1) + np.linalg.norm(g["rx"] - centre, axis=1)
+        speed = np.linalg.norm(g["velocity"], axis=1)
+        begin = np.floor(((np.maximum(2 * low - apart, 0)) / (scene.c + speed) - g["t0"]) * scene.fs).astype(np.int64)
+        end = np.ceil(((2 * high + apart) / (scene.c - speed) - g["t0"]) * scene.fs).astype(np.int64)
         scene.first[traces] = np.maximum(np.minimum(scene.first[traces], begin), 0)
         scene.last[traces] = np.minimum(np.maximum(scene.last[traces], end), scene.n_sample - 1)
 

@@ -22,7 +22,7 @@ HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as tap
 
 def _track(scene: Scene) -> FloatArray:
     """Phase centres of the traces heard, seen from above."""
-    return np.asarray(subapertures.phase_centres(scene.geometry[scene.heard], reception(scene))[:, :2])
+    return np.asarray(subapertures.phase_centres(scene.trace.compress(scene.heard), reception(scene))[:, :2])
 
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:
@@ -134,8 +134,8 @@ def cleared(scene: Scene, layout: Layout, height: float, error: float, merge: fl
     `error` : for the delays along leaves' rays; `merge` : for each merge, whose children lie off their parent's centre;
     `ends` : for what a record's end rings with beyond the band that nodes hold.
     """
-    heard = scene.geometry[scene.heard]
-    baseline = float(np.max(np.linalg.norm(heard[:, 0:3] - heard[:, 3:6], axis=1)))
+    heard = scene.trace.compress(scene.heard)
+    baseline = float(np.max(np.linalg.norm(heard["tx"] - heard["rx"], axis=1)))
     extents = layout.length / np.cumprod([1, *layout.fans])
     away = [_clear(scene, height, (extent - part) / 2, layout.taps.rate, merge) for extent, part in itertools.pairwise(extents)]
     away.append(_clear(scene, height, (extents[-1] + baseline) / 2, layout.taps.rate, error))

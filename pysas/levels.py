@@ -180,12 +180,12 @@ def terms_of(plan: Plan) -> Terms:
 def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
     scene = plan.scene
-    at = scene.geometry[heard]
+    at = scene.trace.take(heard)
     if scene.kind == MONOSTATIC:
-        low, high = ((2 * away / scene.c - at[:, 12]) * scene.fs for away in distances(at[:, 0:3], scene.low, scene.high))
+        low, high = ((2 * away / scene.c - at["t0"]) * scene.fs for away in distances(at["tx"], scene.low, scene.high))
         return np.asarray(np.clip(np.stack([np.floor(low), np.ceil(high)]), -1, scene.n_sample), dtype=np.int64)
     corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
-    pixels = np.concatenate([corners, np.clip((at[:, 0:3] + at[:, 3:6]) / 2, scene.low, scene.high)])
+    pixels = np.concatenate([corners, np.clip((at["tx"] + at["rx"]) / 2, scene.low, scene.high)])
     pick = np.tile(np.arange(len(corners) + 1), (heard.size, 1))
     pick[:, -1] += np.arange(heard.size)
     index, _ = scene.read(heard, pixels, pick)
@@ -311,7 +311,7 @@ def _alike(plan: Plan, data: _Data) -> float:
     heard = np.flatnonzero(scene.heard & data.used)
     index, lit = scene.read(heard, pixels, np.tile(np.arange(len(pixels)), (heard.size, 1)))
     weight = data.weight[heard, None] * lit
-    place = scene.geometry[heard, 12, None] * scene.fs + index
+    place = scene.trace["t0"][heard, None] * scene.fs + index
     most = 1.0
     for frequency in (scene.fc / scene.fs + shift for shift in (-0.47, 0.0, 0.47)):
         total = np.sum(np.sqrt(weight) * np.exp(2j * np.pi * (frequency * place % 1)), axis=0)

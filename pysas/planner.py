@@ -313,8 +313,8 @@ def _site(
         if not block:
             return None, "pixels too coarse for float32 blocks"
         block = even_split(scene.line_length, block)
-    sensors = scene.geometry[scene.heard][:, [2, 5]]
-    height = float(max(sensors.max() - scene.bottom, scene.top - sensors.min()))
+    heights = np.concatenate([scene.trace[name][scene.heard, 2] for name in ("tx", "rx")])
+    height = float(max(heights.max() - scene.bottom, scene.top - heights.min()))
     frame = Frame(grid, scene, block, rows=True)
     image = sheets(frame)
     relief = 0.0 if all(sheet.flat for sheet in image) else SHARE_RELIEF * tol

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
-from pysas.engine import GEOMETRY, MONOSTATIC, MOVING, STOP_AND_HOP
+from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
+from pysas.engine.traces import TRACE
 from pysas.grid import Grid
 
 UNIFORM = "uniform-angle"
@@ -37,20 +38,19 @@ class Scene:
         velocity = echoes.receiver_velocity
         moving = velocity is not None and bool(np.any(velocity))
         self.kind = MOVING if moving else MONOSTATIC if np.array_equal(tx, rx) else STOP_AND_HOP
-        geometry = np.zeros((self.traces, GEOMETRY))
-        geometry[:, 0:3], geometry[:, 3:6] = tx, rx
+        self.trace = trace = np.zeros(self.traces, TRACE)
+        trace["tx"], trace["rx"] = tx, rx
         if velocity is not None:
-            geometry[:, 6:9] = velocity.reshape(-1, 3)
+            trace["velocity"] = velocity.reshape(-1, 3)
         self.cos_beam, self.all_lit = -1.0, False
         if echoes.beam is not None and echoes.beam.half_angle + EDGE_ANGLE < np.pi:
             boresight = echoes.beam.boresight / np.linalg.norm(echoes.beam.boresight, axis=-1, keepdims=True)
-            geometry[:, 9:12] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
+            trace["boresight"] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
             self.cos_beam = float(np.cos(echoes.beam.half_angle + EDGE_ANGLE))  # of the largest angle that counts
-            self.all_lit = _lights(tx, geometry[:, 9:12], max(self.cos_beam, 0.0), low, high)
+            self.all_lit = _lights(tx, trace["boresight"], max(self.cos_beam, 0.0), low, high)
             if self.all_lit:
                 self.cos_beam = -1.0
-        geometry[:, 12] = np.repeat(echoes.start_time, channels)
-        self.geometry = geometry
+        trace["t0"] = np.repeat(echoes.start_time, channels)
         self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
         self.lattice: Any = None  # weights that change from pixel to pixel, see view_angles.py
@@ -59,12 +59,12 @@ class Scene:
         self.bottom, self.top = float(low[2]), float(high[2])
         near_tx, far_tx = distances(tx, low, high)
         near_rx, far_rx = distances(rx, low, high)
-        speed = np.linalg.norm(geometry[:, 6:9], axis=1)
+        speed = np.linalg.norm(trace["velocity"], axis=1)
         self.nearest = float(min(near_tx.min(), near_rx.min()))
         self.farthest = float(max(far_tx.max(), far_rx.max()))
         # indices that any pixel can ask for, within the record
-        self.first = self._index(np.floor(((near_tx + near_rx) / (self.c + speed) - geometry[:, 12]) * self.fs))
-        self.last = self._index(np.ceil(((far_tx + far_rx) / (self.c - speed) - geometry[:, 12]) * self.fs))
+        self.first = self._index(np.floor(((near_tx + near_rx) / (self.c + speed) - trace["t0"]) * self.fs))
+        self.last = self._index(np.ceil(((far_tx + far_rx) / (self.c - speed) - trace["t0"]) * self.fs))
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
@@ -105,15 +105,16 @@ class Scene:
         """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
         if self._some is None:
             # a stride might meet one channel alone
-            g = self.geometry[np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)].T[..., None]
+            some = self.trace.take(np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64))
+            tx, rx, boresight = (some[name].T[..., None] for name in ("tx", "rx", "boresight"))
             pixel, along = self._pixels.T, self._along.T
             # (trace, pixel), coordinate by coordinate: sums over a last axis of three are slow
-            away = [[pixel[k] - g[k + i] for k in range(3)] for i in (0, 3)]
+            away = [[pixel[k] - sensor[k] for k in range(3)] for sensor in (tx, rx)]
             out = [np.maximum(np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), 1e-9) for a in away]
-            index = ((out[0] + out[1]) / self.c - g[12]) * self.fs
+            index = ((out[0] + out[1]) / self.c - some["t0"][:, None]) * self.fs
             lit = (index >= -EDGE) & (index <= self.n_sample - 1 + EDGE)
             if self.cos_beam > -1:
-                lit &= sum(away[0][k] * g[9 + k] for k in range(3)) >= self.cos_beam * out[0]
+                lit &= sum(away[0][k] * boresight[k] for k in range(3)) >= self.cos_beam * out[0]
             slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
             self._some = (
                 np.sort(np.minimum(*out)[lit]),
@@ -126,35 +127,36 @@ class Scene:
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
-        g = self.geometry[traces].T[..., None]
+        some = self.trace.take(traces)
+        tx, rx, velocity, boresight = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight"))
         pixel = [pixels[:, k][pick] for k in range(3)]
-        away = [pixel[k] - g[k] for k in range(3)]
+        away = [pixel[k] - tx[k] for k in range(3)]
         out = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
         back = out
         if self.kind != MONOSTATIC:
             for _ in range(3 if self.kind == MOVING else 1):
                 late = (out + back) / self.c  # of receivers that have moved: twice again is enough
-                home = [pixel[k] - g[3 + k] - (g[6 + k] * late if self.kind == MOVING else 0.0) for k in range(3)]
+                home = [pixel[k] - rx[k] - (velocity[k] * late if self.kind == MOVING else 0.0) for k in range(3)]
                 back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
-        index = ((out + back) / self.c - g[12]) * self.fs
+        index = ((out + back) / self.c - some["t0"][:, None]) * self.fs
         lit = (index >= 0) & (index <= self.n_sample - 1)
         if self.cos_beam > -1:
-            lit &= away[0] * g[9] + away[1] * g[10] + away[2] * g[11] >= self.cos_beam * out
+            lit &= away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2] >= self.cos_beam * out
         return index, lit
 
     def even_line(self) -> bool:
         """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""
-        tx: FloatArray = self.geometry[:: self.channels, 0:3]
+        tx: FloatArray = self.trace["tx"][:: self.channels]
         n = np.arange(len(tx)) - (len(tx) - 1) / 2
         step = float(n @ tx[:, 0]) / max(float(n @ n), 1.0)
         off = np.linalg.norm(tx - tx.mean(axis=0) - n[:, None] * [step, 0.0, 0.0], axis=1)
-        late = float(np.ptp(self.geometry[:, 12])) * self.fc
+        late = float(np.ptp(self.trace["t0"])) * self.fc
         return bool(step != 0 and off.max() <= 0.01 * self.c / self.fc and late <= 0.01 and self.fs < 2 * self.fc)
 
     def why_silent(self) -> str:
         """Why no pixel hears any ping."""
-        low = float(self.c / 2 * self.geometry[:, 12].min())
-        high = float(self.c / 2 * (self.geometry[:, 12].max() + (self.n_sample - 1) / self.fs))
+        low = float(self.c / 2 * self.trace["t0"].min())
+        high = float(self.c / 2 * (self.trace["t0"].max() + (self.n_sample - 1) / self.fs))
         return (
             f"the grid lies outside the recorded window: image is zero; grid at slant ranges {self.nearest:.4g} to "
             f"{self.farthest:.4g} m, record {low:.4g} to {high:.4g} m"
@@ -183,9 +185,9 @@ class Scene:
         if self.cos_beam <= -1:
             return "no pixel lies within the recorded window of any trace left: image is zero"
         heard = False
-        for g in self.geometry:
-            away = [np.linalg.norm(self._pixels - g[k : k + 3], axis=1) for k in (0, 3)]
-            index = ((away[0] + away[1]) / self.c - g[12]) * self.fs
+        for one in self.trace:
+            away = [np.linalg.norm(self._pixels - one[name], axis=1) for name in ("tx", "rx")]
+            index = ((away[0] + away[1]) / self.c - one["t0"]) * self.fs
             heard = heard or bool(np.any((index >= 0) & (index <= self.n_sample - 1)))
         what = "beam" if heard else "beam and recorded window"
         return f"no pixel lies within the {what} of any trace left: image is zero"

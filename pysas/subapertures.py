@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pysas._checks import FloatArray
 from pysas.engine import growth
+from pysas.engine.traces import Records
 from pysas.engine.tree import IntArray, SubImages, Taps
 
 SLACK = 80  # columns behind a row's last node that a vector may touch
@@ -61,9 +62,9 @@ class Group:
         return np.asarray(np.hypot(np.maximum(np.abs(along) - self.extent / 2, 0), np.maximum(beside - self.off, 0)))
 
 
-def phase_centres(geometry: FloatArray, delay: float) -> FloatArray:
+def phase_centres(trace: Records, delay: float) -> FloatArray:
     """Middle of transmitter and receiver at reception, (trace, 3)."""
-    return np.asarray((geometry[:, 0:3] + geometry[:, 3:6] + delay * geometry[:, 6:9]) / 2)
+    return np.asarray((trace["tx"] + trace["rx"] + delay * trace["velocity"]) / 2)
 
 
 def group(traces: IntArray, centres: FloatArray) -> tuple[Group, FloatArray]:
@@ -126,16 +127,16 @@ class Bands:
     along: float
 
 
-def _slopes(g: FloatArray, members: Group, medium: Medium, plane: float, angle: FloatArray, ground: FloatArray) -> FloatArray:
+def _slopes(g: Records, members: Group, medium: Medium, plane: float, angle: FloatArray, ground: FloatArray) -> FloatArray:
     """Of traces' two-way times (2, trace, ground, angle): across, along a ground distance's arc, and along slant range."""
     ground = ground[:, None]
     out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
     place = np.array([members.centre[0], members.centre[1], plane]) + ground[..., None] * out  # (ground, angle, 3)
     g = g[:, None, None]
-    there, back = place - g[..., 0:3], place - g[..., 3:6]
-    way, speed = np.linalg.norm(there, axis=-1, keepdims=True), np.linalg.norm(g[..., 6:9], axis=-1)
-    back = back - (way + np.linalg.norm(back, axis=-1, keepdims=True)) / medium.c * g[..., 6:9]
+    there, back = place - g["tx"], place - g["rx"]
+    way, speed = np.linalg.norm(there, axis=-1, keepdims=True), np.linalg.norm(g["velocity"], axis=-1)
+    back = back - (way + np.linalg.norm(back, axis=-1, keepdims=True)) / medium.c * g["velocity"]
     slope = there / np.maximum(way, 1e-9) + back / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
     slope /= (medium.c - speed)[..., None]
     lateral = np.sum(slope * side, axis=-1) * ground
@@ -143,27 +144,27 @@ def _slopes(g: FloatArray, members: Group, medium: Medium, plane: float, angle: 
     return np.stack([lateral, radial])
 
 
-def _outermost(members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> FloatArray:
+def _outermost(members: Group, trace: Records, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Records:
     """Traces of which one has a phase as steep as any: those at a group's ends in all directions, and, where transmitter and
     receiver are apart, those whose phases are the steepest at places of the sub-image.
 
     All traces are looked at: one that differs from its neighbours may be the outermost.
     """
-    g = geometry[members.traces]
+    g = trace.take(members.traces)
     if len(g) <= 4:
         return g
     angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     axes = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [[0.0, 0.0, 1.0]]])
-    tx, rx = g[:, 0:3] - members.centre, g[:, 3:6] + medium.delay * g[:, 6:9] - members.centre
+    tx, rx = g["tx"] - members.centre, g["rx"] + medium.delay * g["velocity"] - members.centre
     places = [(tx + rx) @ axes.T]
     if np.any(tx != rx):
         wide = int(np.clip(math.ceil((angles[1] - angles[0]) / (np.pi / DIRECTIONS)) + 1, 3, 2 * DIRECTIONS + 1))
         slopes = _slopes(g, members, medium, plane, np.linspace(*angles, wide), np.array(grounds))
         places += [slope.reshape(len(g), -1) for slope in slopes]
-    return np.asarray(g[np.unique(np.concatenate([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)]))])
+    return g.take(np.unique(np.concatenate([end(at, axis=0) for at in places for end in (np.argmin, np.argmax)])))
 
 
-def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Bands:
+def bands(members: Group, trace: Records, medium: Medium, plane: float, angles: Ends, grounds: Ends) -> Bands:
     """Of a group over bearings and ground distances, all its traces looked at.
 
     A trace's echo of base-band frequency f at two-way time tau varies as exp(2j pi ((fc + f) tau - fc tau_0)), tau_0 that of
@@ -171,7 +172,7 @@ def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, an
     an eighth of its second derivative times their distance squared.
     """
     count = max(5, math.ceil(min((angles[1] - angles[0]) / APART, 64.0)) + 1)
-    g = _outermost(members, geometry, medium, plane, angles, grounds)
+    g = _outermost(members, trace, medium, plane, angles, grounds)
     lateral, radial = _slopes(g, members, medium, plane, np.linspace(*angles, count), np.linspace(*grounds, 3))
     bend = float(np.max(np.abs(np.diff(lateral, 2, axis=-1))))
     half = medium.bandwidth / 2
@@ -182,7 +183,7 @@ def bands(members: Group, geometry: FloatArray, medium: Medium, plane: float, an
 
 
 def spacing(
-    members: Group, geometry: FloatArray, medium: Medium, plane: float, angles: Ends, slants: Ends, step: float, taps: Taps
+    members: Group, trace: Records, medium: Medium, plane: float, angles: Ends, slants: Ends, step: float, taps: Taps
 ) -> tuple[float, float]:
     """Between rays that serve reads at bearings and slant ranges, rad, and the highest frequency along them, cycles a metre.
 
@@ -194,7 +195,7 @@ def spacing(
     grounds = max(inner, near / 2), float(ground(np.array(slants[1] + taps.reach * step), height))
     beam, outer, along = 0.0, 1e-3, 0.0
     for attempt in range(4):
-        found = bands(members, geometry, medium, plane, (angles[0] - outer, angles[1] + outer), grounds)
+        found = bands(members, trace, medium, plane, (angles[0] - outer, angles[1] + outer), grounds)
         sway, across = float(np.cbrt(found.bend / 2)), max(found.across, 1e-9)
         seen = OVERLAP_REACH * taps.reach * sway * min(WIDEST, np.pi / (taps.rate * across))
         more = OVERLAP[taps.width] * min(1.0, seen) * sway
@@ -288,14 +289,14 @@ def seen_from(corners: FloatArray, centre: FloatArray) -> Readings:
 
 
 def _tree(
-    members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
+    members: Group, along: FloatArray, fans: tuple[int, ...], trace: Records, centres: FloatArray, medium: Medium,
     plane: float, angle: float, bearings: FloatArray, slants: FloatArray, step: float, taps: Taps, left: int,
 ) -> _Node | None:  # fmt: skip
     """A node whose reads lie at bearings (n, 2) from `angle` and slant ranges (n, 2), and all below it; None where these have
     more than `left` nodes."""
     low, high = float(bearings.min()), float(bearings.max())
     beam, highest = spacing(
-        members, geometry, medium, plane, (angle + low, angle + high), (float(slants.min()), float(slants.max())), step, taps
+        members, trace, medium, plane, (angle + low, angle + high), (float(slants.min()), float(slants.max())), step, taps
     )
     if (high - low) / beam * (slants.max() - slants.min()) / step > left:
         return None
@@ -315,7 +316,7 @@ def _tree(
             theirs = np.maximum(np.hypot(away + ahead[:, None], aside[:, None]), 1e-9)
             bearing = (rays - angle)[:, None] + np.arcsin(np.clip(aside[:, None] / theirs, -1, 1))
             child = _tree(
-                part, place, fans[1:], geometry, centres, medium, plane, angle, np.sort(bearing, axis=1),
+                part, place, fans[1:], trace, centres, medium, plane, angle, np.sort(bearing, axis=1),
                 np.sort(slant(theirs, part.centre[2] - plane), axis=1), step, taps, left,
             )  # fmt: skip
             if child is None:
@@ -355,7 +356,7 @@ class Subtree:
 
 
 def plant(
-    members: Group, along: FloatArray, fans: tuple[int, ...], geometry: FloatArray, centres: FloatArray, medium: Medium,
+    members: Group, along: FloatArray, fans: tuple[int, ...], trace: Records, centres: FloatArray, medium: Medium,
     plane: float, reads: Readings, step: float, taps: Taps, left: int, compiled: bool = False,
 ) -> Subtree | None:  # fmt: skip
     """The tree below one of the longest groups, for what is read from it; `compiled` by C++, an order of magnitude faster.
@@ -366,10 +367,10 @@ def plant(
     if compiled:
         sound = np.array([medium.c, medium.fc, medium.bandwidth, medium.delay])
         ends = np.concatenate([bearings, grounds], axis=1)
-        found = growth.plant(geometry, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
+        found = growth.plant(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
         return None if found is None else Subtree(*found)
     slants = slant(grounds, members.centre[2] - plane)
-    root = _tree(members, along, fans, geometry, centres, medium, plane, angle, bearings, slants, step, taps, left)
+    root = _tree(members, along, fans, trace, centres, medium, plane, angle, bearings, slants, step, taps, left)
     if root is None:
         return None
     levels = [[root]]

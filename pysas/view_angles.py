@@ -189,7 +189,7 @@ def fill(
     scene: Scene, points: FloatArray, order: npt.NDArray[np.int64], out: npt.NDArray[Any], threads: int, backend: str
 ) -> Patterns:
     """Arcs of traces `order` in `out` (point or more, trace), of its own type, as `arcs`."""
-    return engine_arcs(backend, scene.geometry, scene.channels, scene.cos_beam, points, order, out, threads)
+    return engine_arcs(backend, scene.trace, scene.channels, scene.cos_beam, points, order, out, threads)
 
 
 def _rms(values: FloatArray) -> float:

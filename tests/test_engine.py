@@ -8,6 +8,7 @@ import pytest
 import pysas
 from pysas import _pool
 from pysas.engine import _numba, backend_name, native, preparation, summation
+from pysas.engine.traces import MODEL, TRACE, place, reals, record
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
@@ -42,18 +43,18 @@ def test_the_taper_leaves_what_pixels_need_alone():
 def test_delays_satisfy_their_equation(kind):
     """c tau = |x - tx| + |x - rx - v tau| in long double, to 1e-16 of tau."""
     rng = np.random.default_rng(1)
-    g = np.zeros(_numba.GEOMETRY)
-    g[0:3], g[3:6] = rng.uniform(-5, 5, (2, 3))
+    g = np.zeros((), TRACE)
+    g["tx"], g["rx"] = rng.uniform(-5, 5, (2, 3))
     if kind == _numba.MONOSTATIC:
-        g[3:6] = g[0:3]
+        g["rx"] = g["tx"]
     if kind == _numba.MOVING:
-        g[6:9] = rng.uniform(-20, 20, 3)
+        g["velocity"] = rng.uniform(-20, 20, 3)
     x = rng.uniform(-50, 50, (3, 200))
     tau = np.empty(200)
-    _numba._delays(kind, g, 1500.0, x[0], x[1], x[2], 200, tau)
+    _numba._delays(kind, reals(g), 1500.0, x[0], x[1], x[2], 200, tau)
     wide, tau = x.T.astype(np.longdouble), tau.astype(np.longdouble)
-    back = np.sqrt(np.sum((wide - g[3:6] - g[6:9] * tau[:, None]) ** 2, axis=1))
-    there = np.sqrt(np.sum((wide - g[0:3]) ** 2, axis=1))
+    back = np.sqrt(np.sum((wide - g["rx"] - g["velocity"] * tau[:, None]) ** 2, axis=1))
+    there = np.sqrt(np.sum((wide - g["tx"]) ** 2, axis=1))
     assert np.max(np.abs((there + back) / 1500 - tau) / tau) < 1e-15
 
 
@@ -171,6 +172,44 @@ def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, st
     assert 0.8 * filter.error < worst < 1.02 * filter.error
 
 
+def test_reals_of_records_lie_where_their_fields_do():
+    """Numba's kernels read fields by their places among the reals, C++ by those of its structs of 15 and 8 doubles."""
+    assert TRACE.itemsize == 15 * 8 and MODEL.itemsize == 8 * 8
+    for kind in (TRACE, MODEL):
+        some = np.zeros(3, kind)
+        for number, name in enumerate(kind.names):
+            some[name][1] = number + 1
+            row = reals(some)[1, place(kind, name) :]
+            assert np.all(row[: some[name][1].size] == number + 1) and not np.any(row[some[name][1].size :])
+        assert np.shares_memory(reals(some), some) and reals(some[0:1].reshape(())).shape == (kind.itemsize // 8,)
+    with pytest.raises(TypeError, match="expected"):
+        record(MODEL, c=1500.0)
+
+
+@pytest.mark.cpp
+def test_the_extension_takes_its_own_records_alone():
+    """numpy calls a dtype the same only where names, types and places of the fields are."""
+    points, order, out = np.zeros((1, 3)), np.arange(2), np.empty((1, 2))
+
+    def arcs(trace):
+        native.core().arcs(trace, 1, -1.0, points, order, out, 1, None)
+
+    own = np.zeros(2, TRACE)
+    own["tx"] = own["rx"] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    arcs(own)
+    np.testing.assert_allclose(out, 1.0)
+    fields = [(name, TRACE[name]) for name in TRACE.names]
+    renamed = [("receiver" if name == "rx" else name, kind) for name, kind in fields]
+    single = [(name, np.dtype((np.float32, kind.shape))) for name, kind in fields]
+    for other in (renamed, fields[::-1], single, [*fields, ("more", np.float64)]):
+        with pytest.raises(TypeError, match="trace: expected contiguous records of .*velocity.*, found .*velocity"):
+            arcs(np.zeros(2, np.dtype(other)))
+    with pytest.raises(TypeError, match="trace: expected contiguous records of .*, found float64"):
+        arcs(reals(own))
+    with pytest.raises(TypeError, match="trace: expected contiguous records"):
+        arcs(np.zeros(4, TRACE)[::2])
+
+
 def test_numba_reads_only_its_own_traces(monkeypatch):
     """A line's last block ends where the line does: coarse pixels beyond it would need samples that were not prepared."""
     axis = np.arange(65) * 0.3  # one pixel more than a block
@@ -185,8 +224,10 @@ def test_numba_reads_only_its_own_traces(monkeypatch):
         *_, pairs, _, _, out = rest
         assert out.shape[1] == x.size
         pixels = blocks[:, None, :3] + np.arange(x.size)[:, None] * blocks[:, None, 3:]
-        interval = (2 / 1500 * np.linalg.norm(pixels - geometry[0, :3], axis=-1) - geometry[0, 12]) * model[2] - geometry[0, 13]
-        seen.append((interval.max() * model[3], table.size / len(geometry) / (4 * len(pairs))))
+        first, shared = geometry[0].view(TRACE)[0], model.view(MODEL)[0]
+        delay = 2 / 1500 * np.linalg.norm(pixels - first["tx"], axis=-1)
+        interval = ((delay - first["t0"]) * shared["fs"] - first["kept"]) * shared["rate"]
+        seen.append((interval.max(), table.size / len(geometry) / (4 * len(pairs))))
         return kernel(coords, blocks, straight, active, geometry, model, kind, table, x, *rest)
 
     for name in ("overloads", "compile", "typeof_pyval"):

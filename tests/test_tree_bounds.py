@@ -7,6 +7,7 @@ import pytest
 import pysas
 from pysas import subapertures
 from pysas.engine import tree
+from pysas.engine.traces import TRACE
 from pysas.subapertures import Group, Medium
 
 BACKENDS = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
@@ -141,12 +142,12 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
     taps = tree.taps(width, rate, half)
     away = max(4.0, 2.5 * length)
     ends = np.array([[-length / 2, 0, 0], [length / 2, 0, 0]])
-    geometry = np.zeros((2, 15))
-    geometry[:, 0:3] = geometry[:, 3:6] = ends
+    trace = np.zeros(2, TRACE)
+    trace["tx"] = trace["rx"] = ends
     members = Group(np.arange(2), np.zeros(3), length, np.array([1.0, 0, 0]), 0.0)
     low, high = bearing - 0.05, bearing + 0.05
     step = C / (4 * B / 2 * rate)
-    beam, _ = subapertures.spacing(members, geometry, Medium(C, FC, B), 0.0, (low, high), (away, away + 1), step, taps)
+    beam, _ = subapertures.spacing(members, trace, Medium(C, FC, B), 0.0, (low, high), (away, away + 1), step, taps)
 
     def echo(angle):
         distance = np.sqrt(away**2 + length**2 / 4 - np.outer([-1, 1], away * length * np.cos(angle)))
@@ -166,14 +167,14 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=pytest.mark.cpp), False])
 def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
-    geometry = np.zeros((2, 15))
-    geometry[:, 0] = geometry[:, 3] = -2.0, 2.0
-    centres = geometry[:, 0:3].copy()
+    trace = np.zeros(2, TRACE)
+    trace["tx"][:, 0] = trace["rx"][:, 0] = -2.0, 2.0
+    centres = trace["tx"].copy()
     members, along = subapertures.group(np.arange(2), centres)
     reads = subapertures.Readings(0.0, np.array([[-1.0, 1.0]]), np.array([[20.0, 40.0]]))
     taps = tree.taps(6, 1.2, 8)
     grown = [
-        subapertures.plant(members, along, (2,), geometry, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, compiled)
+        subapertures.plant(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, compiled)
         for left in (100_000, 10_000_000)
     ]
     assert grown[0] is None and grown[1] is not None

@@ -10,6 +10,7 @@ import pysas
 from pysas import circular, planner, view_angles
 from pysas.engine import native
 from pysas.engine.arcs import arcs
+from pysas.engine.traces import TRACE
 from pysas.scene import Scene
 
 UNIFORM = "uniform-angle"
@@ -391,15 +392,15 @@ def test_the_narrowest_beams_hold_what_kernels_take(engine):
     rng = np.random.default_rng(3)
     cosine = float(np.cos(2e-7))
     limit = np.arcsin(np.sqrt((1 - cosine) * (1 + cosine)))
-    geometry = np.zeros((400, 15))
+    trace = np.zeros(400, TRACE)
     turn = np.sort(rng.uniform(0, 6, 400))
     towards = -np.stack([np.cos(turn), np.sin(turn), 0.3 + 0 * turn], axis=1) / np.hypot(1, 0.3)
     aside = np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1)
     lit = rng.random(400) < 0.5
     angle = limit * np.where(lit, 1 - 1e-4, 1 + 1e-4)
     point = np.array([[1.25, -0.5, 0.75]])
-    geometry[:, :3] = geometry[:, 3:6] = point - 8 * towards
-    geometry[:, 9:12] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
+    trace["tx"] = trace["rx"] = point - 8 * towards
+    trace["boresight"] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
     found = np.empty((1, 400))
-    arcs(engine, geometry, 1, cosine, point, np.arange(400), found, 1)
+    arcs(engine, trace, 1, cosine, point, np.arange(400), found, 1)
     np.testing.assert_allclose(np.mean(found[0, lit]), 1, rtol=1e-12)

@@ -89,6 +89,17 @@ Tick ticker(const py::object& tick) {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
+// The records of an array of one run, read where they lie.
+template <typename T>
+const T* records(const py::array& array, const char* name) {
+    if (!py::isinstance<Array<T>>(array)) {
+        const auto expected = py::str(py::dtype::of<T>()).cast<std::string>();
+        throw py::type_error(std::string(name) + ": expected contiguous records of " + expected + ", found " +
+                             py::str(array.dtype()).cast<std::string>());
+    }
+    return static_cast<const T*>(array.data());
+}
+
 py::tuple design_filter(double band, int degree, int phases, int step, double error, int least, int most) {
     const Filter filter = design(band, degree, phases, step, error, least, most, false);
     py::array_t<double> weight({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
@@ -169,10 +180,7 @@ void prepare_batch(const py::array& data, const Array<std::int64_t>& order, cons
 // What the kernels sum; nodes of delay polynomials apart.
 template <typename Real>
 Terms<Real> terms_of(const py::array& table, int degree, const std::vector<double>& sine,
-                     const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
-                     int kind) {
-    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Model) == 8 * sizeof(double),
-                  "rows of the geometry and the model are read as these structs");
+                     const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind) {
     const auto tables = view<const Real, 3>(table);
     Terms<Real> terms{};
     terms.table = tables.data;
@@ -182,9 +190,11 @@ Terms<Real> terms_of(const py::array& table, int degree, const std::vector<doubl
     terms.trig = static_cast<int>(sine.size());
     std::copy(sine.begin(), sine.end(), terms.sine);
     std::copy(cosine.begin(), cosine.end(), terms.cosine);
-    terms.traces = reinterpret_cast<const Trace*>(geometry.data());
-    terms.n_trace = geometry.shape(0);
-    terms.model = *reinterpret_cast<const Model*>(model.data());
+    terms.traces = records<Trace>(trace, "trace");
+    terms.n_trace = trace.size();
+    const Model* const shared = records<Model>(model, "model");
+    if (model.size() != 1) throw py::value_error("model: expected one record");
+    terms.model = *shared;
     terms.kind = static_cast<Kind>(kind);
     return terms;
 }
@@ -203,18 +213,18 @@ Lattice lattice_of(const LatticeArrays& arrays, std::int64_t traces) {
 }
 
 std::int64_t add_batch(const py::array& table, int degree, const std::vector<double>& sine,
-                       const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model,
-                       int kind, const Array<double>& nodes, const Array<double>& fit,
+                       const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind,
+                       const Array<double>& nodes, const Array<double>& fit,
                        const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
                        const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
                        int count, const LatticeArrays& weights, const std::optional<py::array>& own,
                        const py::array& image, int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
-    const Lattice lattice = lattice_of(weights, geometry.shape(0));
+    const Lattice lattice = lattice_of(weights, trace.size());
     const auto call = [&](auto real, auto pixel) {
         using Real = decltype(real);
-        Terms<Real> terms = terms_of<Real>(table, degree, sine, cosine, geometry, model, kind);
+        Terms<Real> terms = terms_of<Real>(table, degree, sine, cosine, trace, model, kind);
         terms.lattice = weights ? &lattice : nullptr;
         terms.nodes.count = static_cast<int>(nodes.size());
         std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
@@ -242,13 +252,12 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
     return call(float(), std::complex<double>());
 }
 
-py::array_t<std::uint64_t> view_arcs(const Array<double>& geometry, int channels, double cos_beam,
-                                     const Array<double>& points, const Array<std::int64_t>& order,
-                                     const py::array& out, int threads, const py::object& tick) {
+py::array_t<std::uint64_t> view_arcs(const py::array& trace, int channels, double cos_beam, const Array<double>& points,
+                                     const Array<std::int64_t>& order, const py::array& out, int threads,
+                                     const py::object& tick) {
     const Tick check = ticker(tick);
-    if (geometry.ndim() != 2 || geometry.shape(1) != 15 || points.ndim() != 2 || points.shape(1) != 3)
-        throw py::value_error("arcs: rows of geometry and of points");
-    const Viewers viewers{reinterpret_cast<const Trace*>(geometry.data()), geometry.shape(0), channels, cos_beam};
+    if (points.ndim() != 2 || points.shape(1) != 3) throw py::value_error("arcs: rows of points");
+    const Viewers viewers{records<Trace>(trace, "trace"), trace.size(), channels, cos_beam};
     py::array_t<std::uint64_t> pattern(points.shape(0));
     std::uint64_t* const patterns = pattern.mutable_data();
     const auto call = [&](auto real) {
@@ -295,16 +304,16 @@ struct TreeOf {
 };
 
 void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, const std::vector<double>& sine,
-                 const std::vector<double>& cosine, const Array<double>& geometry, const Array<double>& model, int kind,
+                 const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind,
                  const Array<std::int64_t>& span, const Array<double>& place, const Array<std::int64_t>& shape,
                  const Array<std::int32_t>& range, const LatticeArrays& weights, Array<float> store, double slack,
                  bool smooth, int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto images = images_of(place, shape, range, store);
-    Terms<float> terms = terms_of<float>(table, degree, sine, cosine, geometry, model, kind);
+    Terms<float> terms = terms_of<float>(table, degree, sine, cosine, trace, model, kind);
     terms.nodes = tree.tree.nodes;
-    const Lattice lattice = lattice_of(weights, geometry.shape(0));
+    const Lattice lattice = lattice_of(weights, trace.size());
     terms.lattice = weights ? &lattice : nullptr;
     const std::int64_t* spans = span.data();
     const Released gil;
@@ -369,23 +378,22 @@ py::array_t<T> array(const std::vector<T>& values) {
     return py::array_t<T>(static_cast<py::ssize_t>(values.size()), values.data());
 }
 
-py::tuple plant_group(const Array<double>& geometry, const Array<double>& centres, const Array<std::int64_t>& traces,
+py::tuple plant_group(const py::array& trace, const Array<double>& centres, const Array<std::int64_t>& order,
                       const Array<double>& medium, const std::vector<int>& fans, int taps, int half, double rate,
                       double plane, double direction, const Array<double>& readings, double step, std::int64_t left) {
-    static_assert(sizeof(Trace) == 15 * sizeof(double) && sizeof(Point) == 3 * sizeof(double) &&
-                      sizeof(Reading) == 4 * sizeof(double),
+    static_assert(sizeof(Point) == 3 * sizeof(double) && sizeof(Reading) == 4 * sizeof(double),
                   "rows of arrays are read as these structs");
-    if (geometry.ndim() != 2 || geometry.shape(1) != 15 || centres.size() != 3 * geometry.shape(0) ||
-        medium.size() != 4 || readings.ndim() != 2 || readings.shape(1) != 4 || readings.shape(0) == 0)
-        throw py::value_error("a group: rows of geometry, centres, readings");
-    Geometry survey{reinterpret_cast<const Trace*>(geometry.data()), nullptr, geometry.shape(0), {}, 0, 0};
+    Geometry survey{records<Trace>(trace, "trace"), nullptr, trace.size(), {}, 0, 0};
+    if (centres.size() != 3 * trace.size() || medium.size() != 4 || readings.ndim() != 2 || readings.shape(1) != 4 ||
+        readings.shape(0) == 0)
+        throw py::value_error("a group: rows of centres and readings");
     survey.model.c = medium.at(0);
     survey.model.fc = medium.at(1);
     survey.model.fs = medium.at(2);  // the bandwidth, whose half is the band
     survey.band = 0.5;
     survey.delay = medium.at(3);
     const auto* point = reinterpret_cast<const Point*>(centres.data());
-    const std::vector<Point> places(point, point + geometry.shape(0));
+    const std::vector<Point> places(point, point + trace.size());
     const auto* reading = reinterpret_cast<const Reading*>(readings.data());
     std::vector<Reading> reads(reading, reading + readings.shape(0));
     Layout layout{0, fans, {}, 1, 0, 0, 0};
@@ -396,7 +404,7 @@ py::tuple plant_group(const Array<double>& geometry, const Array<double>& centre
     FlatLevels flat;
     {
         const Released gil;
-        const Group group = make_group(Numbers(traces.data(), traces.data() + traces.size()), places);
+        const Group group = make_group(Numbers(order.data(), order.data() + order.size()), places);
         grown = plant(group, survey, places, layout, plane, direction, std::move(reads), step, left);
         flat = flatten(grown.levels);
     }
@@ -427,6 +435,8 @@ void translate(std::exception_ptr pointer) {
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Compiled part of the engine.";
     py::register_exception_translator(&translate);
+    PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, t0, kept, interval);
+    PYBIND11_NUMPY_DTYPE(Model, c, fc, fs, rate, last, cos_beam, near, run);
     using py::operator""_a;
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
     m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
@@ -450,20 +460,20 @@ PYBIND11_MODULE(_core, m) {
                       const std::vector<double>&, const std::vector<double>&, const Array<double>&,
                       const Array<double>&>(),
              "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
-    m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a,
-          "kind"_a, "span"_a, "place"_a, "shape"_a, "range"_a, "weights"_a, "store"_a, "slack"_a, "smooth"_a,
-          "threads"_a, "isa"_a, "tick"_a, "Fill the sub-images of groups of traces.");
+    m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "trace"_a, "model"_a, "kind"_a,
+          "span"_a, "place"_a, "shape"_a, "range"_a, "weights"_a, "store"_a, "slack"_a, "smooth"_a, "threads"_a,
+          "isa"_a, "tick"_a, "Fill the sub-images of groups of traces.");
     m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
           "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,
           "isa"_a, "tick"_a, "Fill sub-images from their children's.");
     m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a,
           "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
-    m.def("plant", &plant_group, "geometry"_a, "centres"_a, "traces"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
-          "rate"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
-    m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "geometry"_a, "model"_a, "kind"_a, "nodes"_a,
+    m.def("plant", &plant_group, "trace"_a, "centres"_a, "order"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a, "rate"_a,
+          "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
+    m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "trace"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "own"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a batch's terms to an image; returns how many.");
-    m.def("arcs", &view_arcs, "geometry"_a, "channels"_a, "cos_beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a,
+    m.def("arcs", &view_arcs, "trace"_a, "channels"_a, "cos_beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a,
           "tick"_a, "Arcs of view angle at points, and the pattern of the views at each.");
 }

@@ -28,14 +28,17 @@ constexpr double edge_margin = 0.01;
 
 enum class Kind : int { monostatic, stop_and_hop, moving };
 
-// One trace's geometry, as pysas.engine.GEOMETRY numbers its columns.
+// Where and when a trace was recorded; pysas.engine.traces has the same record.
 struct Trace {
-    double tx[3], rx[3], velocity[3], boresight[3];
-    double t0;    // time of sample 0 of the record, s
-    double crop;  // number of the first sample kept
-    double first;
+    double tx[3], rx[3];  // m, at the start of transmission
+    double velocity[3];   // of the receiver, m/s
+    double boresight[3];  // of length 1, or zeros
+    double t0;            // time of sample 0 of the record, s
+    double kept;          // number of the first sample kept
+    double interval;      // for Numba's kernels alone: the trace's first interval in a table of all
 };
 
+// What traces have in common; pysas.engine.traces has the same record.
 struct Model {
     double c, fc, fs;
     double rate;      // intervals per sample

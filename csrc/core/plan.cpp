@@ -235,7 +235,7 @@ void Plan::keep() {
         lowest_ = std::min(lowest_, asked_[i]);
         highest_ = std::max(highest_, until_[i]);
         length_ = std::max(length_, until_[i] - asked_[i] + 4);
-        traces_[i].crop = static_cast<double>(asked_[i] - 1);
+        traces_[i].kept = static_cast<double>(asked_[i] - 1);
         start_.push_back(asked_[i] - 1);
     }
 }

@@ -46,7 +46,7 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     using vec = D::vec;
     const double scale = job.model.fs * job.model.rate;
     // half an interval: positions are counted from the intervals' middles
-    const double offset = (trace.t0 * job.model.fs + trace.crop) * job.model.rate + 0.5;
+    const double offset = (trace.t0 * job.model.fs + trace.kept) * job.model.rate + 0.5;
     const double width = at.used > 0 ? at.edge[1] - at.edge[0] : 0.0;
     vec span = D::set(0.0);
     for (int r = 0; r < rows; r += D::n) {

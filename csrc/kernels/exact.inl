@@ -56,7 +56,7 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
         }
         // where a term does not count the index becomes the first kept sample's, which is in the table
         const W::vec read = W::max(first, W::min(index, last));
-        const W::vec u = W::mul(W::mul(counts, W::sub(read, W::set(trace.crop))), W::set(model.rate));
+        const W::vec u = W::mul(W::mul(counts, W::sub(read, W::set(trace.kept))), W::set(model.rate));
         const W::vec low = W::floor(u);
         W::store(out.position + m, W::sub(W::sub(u, low), half));
         W::store_index(out.interval + m, low);

@@ -38,7 +38,7 @@ void drifts(const LeafJob& job, const Trace& trace, const LeafPlaces& at, double
     const double scale = model.fs * model.rate;
     // half an interval: positions are counted from the intervals' middles
     const double origin =
-        static_cast<double>(job.image->i0 + job.begin) - ((trace.t0 * model.fs + trace.crop) * model.rate + 0.5);
+        static_cast<double>(job.image->i0 + job.begin) - ((trace.t0 * model.fs + trace.kept) * model.rate + 0.5);
     const double (*fit)[max_nodes] = job.tree->nodes.fit;
     for (int r = 0; r < job.rows; r += D::n) {
         D::vec value[5];

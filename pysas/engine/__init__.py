@@ -8,12 +8,11 @@ from typing import Any
 
 from pysas import _checks
 from pysas.engine import native
-from pysas.engine._numba import BLOCK, GEOMETRY, MONOSTATIC, MOVING, NODES, STOP_AND_HOP
+from pysas.engine._numba import BLOCK, MONOSTATIC, MOVING, NODES, STOP_AND_HOP
 
 __all__ = [
     "BACKENDS",
     "BLOCK",
-    "GEOMETRY",
     "MONOSTATIC",
     "MOVING",
     "NODES",

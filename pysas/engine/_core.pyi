@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pysas.engine.traces import Records
+
 def compiler() -> str:
     """Name and version of the compiler that built this extension."""
 
@@ -78,8 +80,8 @@ def add(
     degree: int,
     sine: Sequence[float],
     cosine: Sequence[float],
-    geometry: npt.NDArray[np.float64],
-    model: npt.NDArray[np.float64],
+    trace: Records,
+    model: Records,
     kind: int,
     nodes: npt.NDArray[np.float64],
     fit: npt.NDArray[np.float64],
@@ -102,7 +104,7 @@ def add(
     """
 
 def arcs(
-    geometry: npt.NDArray[np.float64],
+    trace: Records,
     channels: int,
     cos_beam: float,
     points: npt.NDArray[np.float64],
@@ -138,8 +140,8 @@ def leaves(
     degree: int,
     sine: Sequence[float],
     cosine: Sequence[float],
-    geometry: npt.NDArray[np.float64],
-    model: npt.NDArray[np.float64],
+    trace: Records,
+    model: Records,
     kind: int,
     span: npt.NDArray[np.int64],
     place: npt.NDArray[np.float64],
@@ -198,9 +200,9 @@ def read(
     """Add a sub-image to the `wanted` tiles of `image` (line, pixel): lines on its plane, or points near it."""
 
 def plant(
-    geometry: npt.NDArray[np.float64],
+    trace: Records,
     centres: npt.NDArray[np.float64],
-    traces: npt.NDArray[np.int64],
+    order: npt.NDArray[np.int64],
     medium: npt.NDArray[np.float64],
     fans: Sequence[int],
     taps: int,
@@ -220,7 +222,7 @@ def plant(
     npt.NDArray[np.int64],
     float,
 ]:
-    """The tree below a group of `traces` for `readings` (n, 4): bearings from `direction` and ground distances, lowest and
+    """The tree below a group, traces `order`, for `readings` (n, 4): bearings from `direction` and ground distances, lowest and
     highest. Returns traces in the leaves' order, sub-images of each level, leaves first, and all levels' places, shapes,
     ranges and spans, and the highest frequency along their rays; no levels where these would take more than the floats
     `left`.

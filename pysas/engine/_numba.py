@@ -24,10 +24,10 @@ from pysas.engine._numba_reach import (
     ACROSS,
     BORESIGHT,
     COS_BEAM,
-    CROP,
     FC,
-    FIRST,
     FS,
+    INTERVAL,
+    KEPT,
     LAST,
     NEAR,
     OUTSIDE,
@@ -45,7 +45,6 @@ from pysas.engine._numba_reach import (
 BLOCK = 64
 SLOTS = 4
 NODES = 5
-GEOMETRY = 15  # columns of a geometry row, see _numba_reach.py
 WEIGHTS = 5  # places along a block at which its weights are looked up
 MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2
 _FLAGS = ("contract",)
@@ -198,7 +197,7 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
     """
     count = x.size
     _delays(kind, g, model[C], x, y, z, count, tau)
-    first = np.int32(g[FIRST])
+    first = np.int32(g[INTERVAL])
     terms = 0
     beam = model[COS_BEAM]
     sine = np.sqrt((1.0 - beam) * (1.0 + beam))
@@ -212,7 +211,7 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
             # sin(angle - limit) <= 0; cosines would not tell small angles apart
             counts = counts and across * beam <= (dx * bx + dy * by + dz * bz) * sine
         terms += counts
-        u = (min(max(index, 0.0), model[LAST]) - g[CROP]) * model[RATE] if counts else 0.0
+        u = (min(max(index, 0.0), model[LAST]) - g[KEPT]) * model[RATE] if counts else 0.0
         low = np.floor(u)
         interval[np.uintp(at + m)] = first + np.int32(low)
         position = u - low - 0.5
@@ -251,8 +250,8 @@ def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
     rows = start.size
     _delays(kind, g, model[C], nodes[0], nodes[1], nodes[2], NODES * rows, tau)
     scale = model[FS] * model[RATE]
-    offset = (g[T0] * model[FS] + g[CROP]) * model[RATE]
-    fc, first = model[FC], np.int32(g[FIRST])
+    offset = (g[T0] * model[FS] + g[KEPT]) * model[RATE]
+    fc, first = model[FC], np.int32(g[INTERVAL])
     for r in range(rows):
         u = tau[2 * rows + r] * scale - offset
         low = np.floor(u)
@@ -432,8 +431,8 @@ def sum_tile(
         Blocks are evenly spaced lines: polynomials may be used.
     active : (block,) bool
         Blocks with any pixel to image.
-    geometry : (trace, GEOMETRY) float64
-    model : (8,) float64
+    geometry, model : (trace, real) and (real,) float64
+        Reals of traces.TRACE and traces.MODEL.
     coefficients : (interval * 4 * len(pairs),) real
     x, nodes, fit : (count,) real, (NODES,) and (NODES, NODES) float64
         Positions in a block in [-1, 1], Chebyshev nodes, node values to monomials.

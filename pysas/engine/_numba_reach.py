@@ -9,12 +9,15 @@ import numpy as np
 from numba import njit
 
 from pysas.echoes import EDGE
+from pysas.engine.traces import MODEL, TRACE, place
 
-# columns of a geometry row: transmitter, receiver, velocity, boresight (3 each), t0, index of sample 0 kept, first interval
-TX, RX, VELOCITY, BORESIGHT, T0, CROP, FIRST = 0, 3, 6, 9, 12, 13, 14
-# columns of the model: c, fc, fs, over-sampling, last sample, cosine of the largest angle that counts, least distance for
-# polynomials, traces that a sum in float32 may have before it is added to one in float64 (0: any number)
-C, FC, FS, RATE, LAST, COS_BEAM, NEAR, RUN = 0, 1, 2, 3, 4, 5, 6, 7
+# where the reals of a trace and of the model are, see traces.py
+TX, RX, VELOCITY, BORESIGHT, T0, KEPT, INTERVAL = (
+    place(TRACE, name) for name in ("tx", "rx", "velocity", "boresight", "t0", "kept", "interval")
+)
+C, FC, FS, RATE, LAST, COS_BEAM, NEAR, RUN = (
+    place(MODEL, name) for name in ("c", "fc", "fs", "rate", "last", "cos_beam", "near", "run")
+)
 OUTSIDE, INSIDE, ACROSS = 0, 1, 2
 EDGE_MARGIN = 0.01  # samples: nearer to a record's ends every pixel's own delay decides
 

@@ -10,13 +10,14 @@ import numpy.typing as npt
 from pysas import _pool as pool
 from pysas._checks import FloatArray
 from pysas.engine import _numba_arcs, native
+from pysas.engine.traces import Records, reals
 
 AT_ONCE = 2**18  # views of a task
 
 
 def arcs(
     backend: str,
-    geometry: FloatArray,
+    trace: Records,
     channels: int,
     cos_beam: float,
     points: FloatArray,
@@ -24,7 +25,7 @@ def arcs(
     out: npt.NDArray[Any],
     threads: int,
 ) -> npt.NDArray[np.uint64]:
-    """Fill `out` (point, kept) with the arcs of traces `order` among all of `geometry` at points about the scene's centre.
+    """Fill `out` (point, kept) with the arcs of traces `order` among all at points about the scene's centre.
 
     Their mean over the traces within whose beam a point lies is 1; the others' arcs are what they would be there. Rows of
     `out` beyond the points stay. Returns a number for each point that is the same where views have one order around the
@@ -32,9 +33,10 @@ def arcs(
     or a gap is about as wide as makes an opening. O(point trace log trace).
     """
     if backend == "cpp":
-        return np.asarray(native.core().arcs(geometry, channels, cos_beam, points, order, out, threads, None))
+        return np.asarray(native.core().arcs(trace, channels, cos_beam, points, order, out, threads, None))
     pattern = np.empty(len(points), dtype=np.uint64)
-    rows = max(1, AT_ONCE // len(geometry))
+    rows = max(1, AT_ONCE // len(trace))
+    geometry = reals(trace)
 
     def some(task: int) -> None:
         part = slice(task * rows, min((task + 1) * rows, len(points)))

@@ -8,20 +8,22 @@ import numpy as np
 
 from pysas._checks import FloatArray
 from pysas.engine import native
+from pysas.engine.traces import Records
 from pysas.engine.tree import PLACE, SHAPE, IntArray, SubImages, Taps
 
 
 def plant(
-    geometry: FloatArray, centres: FloatArray, traces: IntArray, medium: FloatArray, fans: Sequence[int], taps: Taps,
+    trace: Records, centres: FloatArray, order: IntArray, medium: FloatArray, fans: Sequence[int], taps: Taps,
     plane: float, direction: float, readings: FloatArray, step: float, left: int,
 ) -> tuple[IntArray, tuple[SubImages, ...], float] | None:  # fmt: skip
     """Traces in the leaves' order, levels, leaves first, and the highest frequency along their rays, for `readings` (n, 4):
     bearings from `direction` and grounds; None where these would take more than the floats `left`.
 
-    `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where receivers move.
+    `order` : the group's traces; `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where
+    receivers move.
     """
-    order, counts, place, shape, ranges, span, along = native.core().plant(
-        geometry, centres, traces, medium, fans, taps.width, taps.half, taps.rate, plane, direction, readings, step, left
+    ordered, counts, place, shape, ranges, span, along = native.core().plant(
+        trace, centres, order, medium, fans, taps.width, taps.half, taps.rate, plane, direction, readings, step, left
     )
     if not len(counts):
         return None
@@ -35,4 +37,4 @@ def plant(
             SubImages(places[image : image + count], own, ranges[rays : rays + more], span[ends : ends + count + 1], size)
         )
         image, rays, ends = image + count, rays + more, ends + count + 1
-    return np.asarray(order), tuple(levels), float(along)
+    return np.asarray(ordered), tuple(levels), float(along)

@@ -233,7 +233,7 @@ def accumulate(
             points = None if frame.straight else frame.points(lo, hi)
             mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
             terms += engine.add(
-                rows, filter.degree, trigonometry[0], trigonometry[1], some.geometry, survey.model, survey.kind, at, fit,
+                rows, filter.degree, trigonometry[0], trigonometry[1], some.trace, survey.model, survey.kind, at, fit,
                 frame.first if frame.straight else None, frame.step if frame.straight else None, points, mask, frame.count,
                 some.lattice, None if some.own is None else some.own[lo:], image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip

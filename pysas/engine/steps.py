@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba, _numba_reach, _numba_tree, native, summation
+from pysas.engine import _numba, _numba_tree, native, summation
 from pysas.engine.preparation import Interpolator
 from pysas.engine.summation import Survey
+from pysas.engine.traces import reals
 from pysas.engine.tree import SubImages, Taps
 
 BoolArray = npt.NDArray[np.bool_]
@@ -91,7 +92,7 @@ class Compiled:
         """
         s = self.setting
         native.core().leaves(
-            self.tree, self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry,
+            self.tree, self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.trace,
             survey.model, survey.kind, level.span, level.place, level.shape, level.range, survey.lattice, store, slack, smooth,
             s.threads, s.isa, tick,
         )  # fmt: skip
@@ -133,7 +134,7 @@ class Compiled:
         flat = None if points is None else points[0]
         return int(
             native.core().add(
-                self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.geometry, survey.model,
+                self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.trace, survey.model,
                 survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, survey.lattice, None, image, s.threads,
                 s.isa, tick,
             )
@@ -179,15 +180,16 @@ class Interpreted:
                 pieces += [(i, m, min(m + _numba.BLOCK, end)) for m in range(int(rays[:, 0].min()), end, _numba.BLOCK)]
         geometry, flat = self._numbered(survey)
         model = survey.model.copy()
+        model["near"] = 0.0  # leaves have polynomials at any distance that the planner lets them have
+        sound = reals(model)
         lattice, axes = survey.weighing()
-        model[_numba_reach.NEAR] = 0.0  # leaves have polynomials at any distance that the planner lets them have
 
         def add(task: int) -> None:
             i, begin, end = pieces[task]
             part = slice(level.span[i], level.span[i + 1])
             pool.call(
                 _numba_tree.leaf,
-                level.place[i], level.shape[i], level.range, begin, end, geometry[part], model, survey.kind,
+                level.place[i], level.shape[i], level.range, begin, end, geometry[part], sound, survey.kind,
                 flat, self.nodes, self.fit, self.half, self.sums[0], self.sums[1], self.pairs, self.setting.wave,
                 self.turns[0], self.turns[1], lattice[..., part], axes, store,
             )  # fmt: skip
@@ -257,6 +259,7 @@ class Interpreted:
     ) -> int:
         """As Compiled.direct."""
         geometry, flat = self._numbered(survey)
+        model = reals(survey.model)
         tiles = -(-image.shape[0] // _numba_tree.ROWS) * -(-image.shape[1] // count)
         counted = np.zeros(tiles, dtype=np.int64)
 
@@ -274,7 +277,7 @@ class Interpreted:
             out = np.zeros((len(blocks), width), dtype=np.complex64)
             counted[task] = pool.call(
                 _numba.sum_tile,
-                coords, blocks, lines is not None, active, geometry, survey.model, survey.kind, flat,
+                coords, blocks, lines is not None, active, geometry, model, survey.kind, flat,
                 summation.places(out.shape[1], np.float32), self.nodes, self.fit, self.half, self.sums[0], self.sums[1],
                 self.pairs, *survey.weighing(), out,
             )  # fmt: skip
@@ -284,10 +287,8 @@ class Interpreted:
         return int(counted.sum())
 
     def _numbered(self, survey: Survey) -> tuple[FloatArray, Single]:
-        """Geometry with each trace's first interval, and the table that this counts in."""
-        geometry = survey.geometry.copy()
-        geometry[:, _numba_reach.FIRST] = np.arange(len(geometry)) * self.reader.intervals
-        return geometry, self.rows.reshape(-1).view(np.float32)
+        """Traces numbered by their first interval, and the table that this counts in."""
+        return summation.numbered(survey.trace, self.reader.intervals), self.rows.reshape(-1).view(np.float32)
 
     def _run(self, task: Callable[[int], None], count: int, tick: Tick) -> None:
         pool.run(task, count, self.setting.threads, None if tick is None else lambda done: tick(done / max(count, 1)))

@@ -16,8 +16,9 @@ import numpy.typing as npt
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba, _numba_reach
+from pysas.engine import _numba
 from pysas.engine.preparation import Interpolator, coefficients, segments
+from pysas.engine.traces import Records, reals
 
 
 def rows_per_task(n_fine: int) -> int:
@@ -30,19 +31,23 @@ def rows_per_task(n_fine: int) -> int:
 class Survey:
     """Traces as the kernels want them, coordinates about the scene's centre.
 
-    geometry : (trace, GEOMETRY); start : (trace,) first sample kept (may lie before the record); weights : (trace,);
-    kind : _numba.MONOSTATIC, STOP_AND_HOP or MOVING; model : (8,); lattice : weights that change from pixel to pixel, at
-    places (y, x, trace), float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of
-    the arithmetic's type, with rows for whole blocks, or None.
+    trace : (trace,) TRACE, whose first sample kept may lie before the record; weights : (trace,); kind : _numba.MONOSTATIC,
+    STOP_AND_HOP or MOVING; model : () MODEL; lattice : weights that change from pixel to pixel, at places (y, x, trace),
+    float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of the arithmetic's type,
+    with rows for whole blocks, or None.
     """
 
-    geometry: FloatArray
-    start: npt.NDArray[np.int64]
+    trace: Records
     weights: ComplexArray
     kind: int
-    model: FloatArray
+    model: Records
     lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
     own: npt.NDArray[Any] | None = None
+
+    @property
+    def start(self) -> npt.NDArray[np.int64]:
+        """Number of the first sample kept of each trace."""
+        return np.asarray(self.trace["kept"], dtype=np.int64)
 
     def part(self, begin: int, end: int) -> Survey:
         """Traces [begin, end)."""
@@ -51,7 +56,7 @@ class Survey:
             lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
         own = None if self.own is None else np.ascontiguousarray(self.own[:, begin:end])
         some = slice(begin, end)
-        return Survey(self.geometry[some], self.start[some], self.weights[some], self.kind, self.model, lattice, own)
+        return Survey(self.trace[some], self.weights[some], self.kind, self.model, lattice, own)
 
     def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
         """The lattice as Numba's kernels take it: without traces where there is none."""
@@ -133,6 +138,13 @@ def places(count: int, real: npt.DTypeLike) -> npt.NDArray[Any]:
     return np.linspace(-1, 1, count).astype(real) if count > 1 else np.zeros(1, real)
 
 
+def numbered(trace: Records, intervals: int) -> FloatArray:
+    """Traces as Numba's kernels take them, numbered by the first of their `intervals` in a batch's table."""
+    own = trace.copy()
+    own["interval"] = np.arange(len(own)) * intervals
+    return reals(own)
+
+
 def prepare(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
@@ -180,7 +192,7 @@ def accumulate(
     threads: int,
     progress: Callable[[float], None] | None,
 ) -> Totals:
-    """Add traces `order` (flat ping-channel numbers; row i of survey.geometry is order[i]) of `data` to `image` (line, pixel).
+    """Add traces `order` (flat ping-channel numbers; record i of survey.trace is order[i]) of `data` to `image` (line, pixel).
 
     `locate(tile)` gives the kernel's coords, blocks and active rows. `count` pixels make a block. The image is left
     multiplied by `scale`.
@@ -193,6 +205,7 @@ def accumulate(
     sines, cosines = (tuple(scalar(v) for v in terms) for terms in trigonometry)
     pairs = (0,) * ((reader.degree + 1) // 2)
     half = scalar(0.5)
+    model = reals(survey.model)
     counted = np.zeros(len(tiles), dtype=np.int64)
     prepared = summed = 0.0
     batches = range(0, len(order), batch)
@@ -200,20 +213,18 @@ def accumulate(
         part = order[begin : begin + batch]
         clock = time.perf_counter()
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
-        some = slice(begin, begin + part.size)
-        prepare(traces, part, survey.start[some], survey.weights[some], scale, reader, table, threads)
-        geometry = survey.geometry[begin : begin + part.size].copy()
-        geometry[:, _numba_reach.FIRST] = np.arange(part.size) * reader.intervals
+        some = survey.part(begin, begin + part.size)
+        prepare(traces, part, some.start, some.weights, scale, reader, table, threads)
+        geometry = numbered(some.trace, reader.intervals)
         flat_table = table.reshape(-1).view(kind)
         now = time.perf_counter()
         prepared += now - clock
 
-        now_summed = survey.part(begin, begin + part.size)
-        lattice, axes = now_summed.weighing()
+        lattice, axes = some.weighing()
 
         def add(
             task: int, geometry: FloatArray = geometry, flat_table: Any = flat_table, lattice: Any = lattice, axes: Any = axes,
-            own: Any = now_summed.own,
+            own: Any = some.own,
         ) -> None:  # fmt: skip
             tile = tiles[task]
             coords, blocks, active = locate(tile)
@@ -226,7 +237,7 @@ def accumulate(
                 lattice, axes = own[tile.left : tile.left + out.size].reshape(*out.shape, -1), np.empty(0)
             terms = pool.call(
                 _numba.sum_tile,
-                coords, blocks, straight, active, geometry, survey.model, survey.kind, flat_table, places(width, kind), nodes,
+                coords, blocks, straight, active, geometry, model, survey.kind, flat_table, places(width, kind), nodes,
                 fit, half, sines, cosines, pairs, lattice, axes, out,
             )  # fmt: skip
             pixels = (tile.last - tile.first) * (tile.right - tile.left)
