@@ -42,8 +42,7 @@ def table(outcomes: list[Outcome]) -> str:
         middle, worst = (float(np.median(ratios)), float(np.max(ratios))) if ratios else (np.nan, np.nan)
         lines.append(
             f"{way:28} {count['kept']:6} {count['told']:5} {count['refused']:7} {count['none']:7} {count['known']:5} "
-            f"{count['broken']:6} "
-            f"{middle:8.3f} {worst:9.3g}"
+            f"{count['broken']:6} {middle:8.3f} {worst:9.3g}"
         )
     return "\n".join(lines)
 

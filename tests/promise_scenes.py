@@ -454,25 +454,25 @@ def _plain(d: Draw, seed: int, family: str) -> Scene:
     """
     fs, c, over = d.one((10e3, 40e3, 1e6)), 1500.0, d.one((1.2, 4 / 3, 2.0))
     unit, band, coarse = c / (2 * fs), 1 / over * (1 - 1e-12), family == "coarse"
-    fc = fs / over * (d.log(20, 60) if coarse else d.log(1, 6))
-    reach, pings = (d.log(2000, 20_000), d.whole(1, 30)) if coarse else (d.log(60, 200), d.whole(16, 90))
-    tx = track(
-        d,
-        d.one(("line", "arc", "jittered line") if coarse else ("line", "arc")),
-        pings,
-        unit * reach * d.log(0.02, 0.5 if coarse else 2),
-    )
-    rows, columns = (d.one((1, 2)), d.whole(60, 300)) if coarse else (d.whole(20, 60), d.whole(20, 60))
-    extent = (
-        unit * np.array([columns * d.log(0.5, 3), rows])
-        if coarse
-        else unit * reach * d.log(0.3, 1.2) * np.array([1.0, d.log(0.5, 1.0)])
-    )
-    side, depth = d.rng.uniform(-0.6, 0.6) if coarse else np.pi / 2, d.rng.uniform(0, 0.3)
-    # clear of the track, so that no line through two views crosses the image
-    away = reach * unit * np.array([np.cos(side), np.sin(side), -depth])
-    if not coarse:
-        away[1] += extent[1] / 2
+    if coarse:
+        fc = fs / over * d.log(20, 60)
+        reach, pings = d.log(2000, 20_000), d.whole(1, 30)
+        kind, length = d.one(("line", "arc", "jittered line")), d.log(0.02, 0.5)
+        tx = track(d, kind, pings, unit * reach * length)
+        rows, columns = d.one((1, 2)), d.whole(60, 300)
+        extent = unit * np.array([columns * d.log(0.5, 3), rows])
+        side, near, largest, weights = d.rng.uniform(-0.6, 0.6), 0.0, 1e-4, None
+    else:
+        fc = fs / over * d.log(1, 6)
+        reach, pings = d.log(60, 200), d.whole(16, 90)
+        kind, length = d.one(("line", "arc")), d.log(0.02, 2)
+        tx = track(d, kind, pings, unit * reach * length)
+        rows, columns = d.whole(20, 60), d.whole(20, 60)
+        extent = unit * reach * d.log(0.3, 1.2) * np.array([1.0, d.log(0.5, 1.0)])
+        # clear of the track, so that no line through two views crosses the image
+        side, near, largest, weights = np.pi / 2, extent[1] / 2, 1e-3, "uniform-angle"
+    depth = d.rng.uniform(0, 0.3)
+    away = reach * unit * np.array([np.cos(side), np.sin(side), -depth]) + [0.0, near, 0.0]
     view = pysas.Grid.plane(
         away[0] + np.linspace(-0.5, 0.5, columns) * extent[0],
         away[1] + np.linspace(-0.5, 0.5, rows) * extent[1],
@@ -483,6 +483,6 @@ def _plain(d: Draw, seed: int, family: str) -> Scene:
     low = tau.min() - d.rng.uniform(40, 200)
     data = noise(d, (pings, int(np.ceil(tau.max() - low + d.rng.uniform(40, 200)))), band).astype(np.complex64)
     echoes = pysas.Echoes(data, tx=tx, rx=tx, t0=low / fs, fs=fs, fc=fc, c=c, bandwidth=band * fs)
-    tol = d.log(1e-5, 1e-4 if coarse else 1e-3)
+    tol = d.log(1e-5, largest)
     words = f"{pings} x {data.shape[1]}, {view.shape}, fs/B {over:.3g}, fc/B {fc / fs * over:.3g}, range {reach:.0f} samples"
-    return Scene(seed, family, words, echoes, view, tol, None if coarse else "uniform-angle", lenient=not coarse)
+    return Scene(seed, family, words, echoes, view, tol, weights, lenient=not coarse)
