@@ -2,7 +2,9 @@
 
 Two calls that share a machine slow down together, so that their ratio holds where seconds do not: medians of interleaved
 runs, one thread. A ratio below 0.6 of the one stored for the same instruction set fails: what is stored was measured on one
-machine, and others differ in caches and vector units by that much. `--write` stores what is measured.
+machine, and others differ in caches and vector units by that much. One that falls is measured again, up to twice, and its
+best counts: what another program on the machine takes away comes and goes, what the code takes stays. `--write` stores what
+is measured.
 """
 
 import argparse
@@ -22,6 +24,7 @@ from bench.scenes import random_stripmap
 STORED = Path(__file__).with_name("ratios.json")
 LEAST = 0.6
 ROUNDS = 5
+TRIES = 3
 
 
 def seconds(calls):
@@ -93,6 +96,10 @@ def main():
     if isa not in every:
         sys.exit(f"no ratios are stored for {isa}: --write stores {found}")
     stored = every[isa]
+    for _ in range(TRIES - 1):
+        if all(value >= LEAST * stored[name] for name, value in found.items()):
+            break
+        found = {name: max(value, found[name]) for name, value in measured().items()}
     bad = [name for name, value in found.items() if value < LEAST * stored[name]]
     for name, value in found.items():
         print(f"{isa} {name:24s} {value:6.2f}  stored {stored[name]:6.2f}  {'FELL' if name in bad else 'ok'}")

@@ -21,8 +21,9 @@ HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as tap
 
 
 def _track(scene: Scene) -> FloatArray:
-    """Phase centres of the traces heard, seen from above."""
-    return np.asarray(subapertures.phase_centres(scene.trace.compress(scene.heard), reception(scene))[:, :2])
+    """Mean phase centres of the traces heard of each ping, seen from above."""
+    centres = subapertures.phase_centres(scene.trace.compress(scene.heard), reception(scene))
+    return subapertures.by_ping(centres, np.flatnonzero(scene.heard) // scene.channels)[0][:, :2]
 
 
 def grounds(scene: Scene, frame: Frame) -> FloatArray:

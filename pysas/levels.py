@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import itertools
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +33,7 @@ from pysas.plans import Plan, Terms
 from pysas.scene import distances
 from pysas.settings import Choices, reader_of
 
-TERMS = 2**10, 2**14  # looked at, at least and at most; of those between, one of
+TERMS = 2**10, 2**12  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000
 # Of what is measured beyond the plan's bounds: levels that change within a filter's reach leave more than their mean square
 # says, by 2.2 beside the tail of a pulse in a band as wide as the filter allows
@@ -113,13 +115,13 @@ def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: 
             return asked
         if wrong > (TREE_EXCESS * plan.budget - _predicted(plan)) * own:
             plan = _direct(plan)
-    alike = _alike(plan, data) if np.max(ends) > BRIGHTER * own**2 else 1.0
+    alike = functools.cache(lambda: _alike(asked, data) if np.max(ends) > BRIGHTER * own**2 else 1.0)
     error, planned = _measured(plan, data, some, own, ends, alike)
     if not math.isfinite(error):
         return asked
     if error <= (planned + (plan.budget - _predicted(plan)) / UNSURE) * own:
         return plan
-    brighter = math.sqrt(np.max(ends) * alike) / own if own > 0 else 1e12
+    brighter = math.sqrt(np.max(ends) * alike()) / own if own > 0 else 1e12
     plan = _wide(plan, brighter)
     error, planned = _measured(plan, data, some, own, ends, alike)
     most, level = planned + EXCESS * plan.budget - _predicted(plan), own
@@ -259,7 +261,9 @@ def _tree_reach(plan: Plan) -> int:
     return math.ceil(stages * forest.layout.taps.reach / float(forest.rate))
 
 
-def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray, alike: float) -> tuple[float, float]:
+def _measured(
+    plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray, alike: Callable[[], float]
+) -> tuple[float, float]:
     """Error, in units of the data's scale, that a plan's tables make of the terms; and what of it is in its bounds.
 
     Errors of a filter are spread over its reach; `alike` : times the power that bright ends have in an image.
@@ -283,10 +287,15 @@ def _measured(plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray
             kept = within[side][some.trace] if c.taper else True
             distance = np.where(kept, c.n_fft - distance, distance)
         cut = ends[side, some.trace]
-        bright = np.maximum(cut - BRIGHTER * own**2, 0)
         loudest = float(bounds.ringing(np.min(distance), scene.band)) ** 2 * float(np.max(cut))
-        if loudest * scene.traces > (NOTHING * c.predicted_error * own) ** 2:
-            squares += (cut + (alike - 1) * bright) * bounds.ringing(distance, scene.band) ** 2
+        least = (NOTHING * c.predicted_error * own) ** 2
+        if loudest * scene.traces <= least:
+            continue
+        rings = bounds.ringing(distance, scene.band) ** 2
+        bright = np.maximum(cut - BRIGHTER * own**2, 0) * rings
+        squares += cut * rings
+        if float(np.mean(bright)) * scene.traces > least:
+            squares += (alike() - 1) * bright
     if c.n_fft:
         number = np.flatnonzero(data.used)
         middle = np.full(number.size, scene.n_sample // 2)

@@ -99,10 +99,15 @@ def onto(points: FloatArray, members: Group, plane: float) -> tuple[FloatArray, 
     return np.concatenate([place, np.full((*off.shape, 1), plane)], axis=-1), np.minimum(np.abs(off), np.abs(side))
 
 
+def by_ping(centres: FloatArray, pings: IntArray) -> tuple[FloatArray, IntArray]:
+    """Means of the phase centres of each ping, and which of them a trace's is; `pings` says which ping a trace is of."""
+    _, place, count = np.unique(pings, return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(place, axis) for axis in centres.T], axis=1) / count[:, None], place
+
+
 def cut_track(centres: FloatArray, pings: IntArray, length: float) -> list[IntArray]:
     """Runs of consecutive pings of about equal path, at most `length` metres; `pings` says which ping a trace is of."""
-    _, place, count = np.unique(pings, return_inverse=True, return_counts=True)
-    middle = np.stack([np.bincount(place, axis) for axis in centres.T], axis=1) / count[:, None]
+    middle, place = by_ping(centres, pings)
     path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
     pieces = max(1, int(np.ceil(path[-1] / length)))
     number = np.minimum((path / max(path[-1], 1e-300) * pieces).astype(np.int64), pieces - 1)[place]

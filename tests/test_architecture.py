@@ -175,7 +175,7 @@ def test_numba_kernels_are_entered_through_the_pool() -> None:
 # Rule 3: one door to compiled code, one place for tol
 
 
-COMPILED = {"_core", "_numba", "_numba_arcs", "_numba_reach", "_numba_tree"}
+COMPILED = {"_core", "_numba", "_numba_arcs", "_numba_reach", "_numba_samples", "_numba_tree"}
 
 
 def compiled_imports(text: str) -> set[str]:

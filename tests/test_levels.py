@@ -11,7 +11,7 @@ from scenes import noise, straight
 
 import pysas
 from pysas import levels, planner
-from pysas.engine import native
+from pysas.engine import native, summation
 
 BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
 C, FS, FC, N = 1500.0, 40e3, 100e3, 700
@@ -294,3 +294,26 @@ def test_a_filter_keeps_its_error_at_every_frequency_of_its_band(seed):
         read = response @ np.vander(t, degree + 1, increasing=True).T
         worst = max(worst, float(np.max(np.abs(read - np.exp(2j * np.pi * f[:, None] * place)))))
     assert worst <= 1.02 * filter.error
+
+
+@pytest.mark.cpp
+@pytest.mark.parametrize("kind", ["<c8", ">c8", "<c16", ">c16"])
+@pytest.mark.parametrize("part", [np.s_[:], np.s_[::2], np.s_[:, :, ::-3]])
+def test_both_engines_measure_the_same_levels(kind, part):
+    """Peaks to the bit and mean squares to rounding, those of plain NumPy, of samples that are finite and that are not."""
+    data = noise(12, 3, 300, 0.9, 5).astype(kind)
+    for ping, channel, value in ((2, 1, np.nan), (4, 0, np.inf), (7, 2, complex(1, -np.inf))):
+        data[ping, channel, 20 + 30 * ping] = value
+    data = data[part]
+    rng, traces, n = np.random.default_rng(1), data.shape[0] * 3, data.shape[2]
+    begin, end = rng.integers(0, n // 3, traces), rng.integers(n // 2, n, traces)
+    trace, place = np.sort(rng.integers(0, traces, 500)), rng.integers(-3, n + 3, 500)
+    flat = data.reshape(traces, n).astype("c16")
+    largest = np.array([np.abs(s[a:b].view(float)).max() for s, a, b in zip(flat, begin, end, strict=True)])
+    largest[~np.isfinite(flat).all(axis=1)] = np.inf
+    near = [flat[t, max(p - 6, 0) : p + 7] for t, p in zip(trace, place, strict=True)]
+    with np.errstate(invalid="ignore"):
+        squares = np.array([np.sum(np.abs(s / 2.0) ** 2) / 13 for s in near])
+    for engine in (native, summation):
+        assert np.array_equal(np.ravel(engine.peaks(data, begin, end, 2)), largest)
+        np.testing.assert_allclose(engine.mean_squares(data, trace, place, 6, 2.0, 2), squares, rtol=1e-12)

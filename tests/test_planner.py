@@ -12,7 +12,7 @@ from scipy.special import jv
 from test_factorised import BACKENDS, plane, single
 
 import pysas
-from pysas import bounds, planner
+from pysas import bounds, layouts, planner
 from pysas.engine import native
 from pysas.forest import prospect
 from pysas.scene import Scene
@@ -272,6 +272,14 @@ def test_trees_are_judged_before_they_are_grown(long):
     part, planes, groups = prospect(forest.scene, sheets(forest.frame), forest.layout, tree.choices.near, 0.0)
     assert part == pytest.approx(forest.share, abs=0.1)
     assert planes * groups == len(forest.trees)
+
+
+def test_an_array_s_track_is_walked_once_a_ping():
+    """Not from receiver to receiver and back: layouts would be priced with more groups than the track is cut into."""
+    echoes = moving(64)
+    track = layouts._track(Scene(echoes, PLANE, None))
+    own = np.sum(np.linalg.norm(np.diff(echoes.tx, axis=0), axis=1))
+    assert len(track) == 64 and np.sum(np.linalg.norm(np.diff(track, axis=0), axis=1)) == pytest.approx(own, rel=0.05)
 
 
 @pytest.mark.parametrize("corner", [0, 600])

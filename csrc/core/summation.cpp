@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <limits>
+#include <type_traits>
 
 #include "core/lattice.hpp"
 
@@ -185,35 +188,53 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
     return sum;
 }
 
+// The largest magnitude of `count` reals, not finite where any of them is not. Without its sign a number's bits are in
+// the order of its size, infinite and what is no number above all others; and a compiler may take whole numbers side by
+// side.
+template <typename Real>
+Real largest(const Real* x, std::int64_t count) {
+    using Bits = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
+    static_assert(sizeof(Bits) == sizeof(Real) && std::numeric_limits<Real>::is_iec559);
+    Bits most = 0;
+    for (std::int64_t n = 0; n < count; ++n) {
+        Bits bits;
+        std::memcpy(&bits, x + n, sizeof bits);
+        most = std::max(most, bits & std::numeric_limits<Bits>::max());
+    }
+    Real found;
+    std::memcpy(&found, &most, sizeof found);
+    return found;
+}
+
 template <typename Sample>
 void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const std::int64_t* end, double* out,
            int threads, const Tick& tick) {
     using value = typename Sample::value_type;
-    constexpr value limit = std::numeric_limits<value>::max();
+    constexpr std::int64_t at_once = 256;  // samples copied where they do not lie side by side
     run(
         data.shape[0], threads,
         [&](std::int64_t ping) {
+            Sample copy[at_once];
             for (std::int64_t channel = 0; channel < data.shape[1]; ++channel) {
                 const Sample* trace = &data(ping, channel, 0);
-                const std::int64_t flat = ping * data.shape[1] + channel;
-                bool finite = true;
+                const std::int64_t flat = ping * data.shape[1] + channel, step = data.stride[2];
                 const auto most = [&](std::int64_t from, std::int64_t to) {
+                    if (step == 1)
+                        return largest(reinterpret_cast<const value*>(trace + from),
+                                       2 * std::max<std::int64_t>(to - from, 0));
                     value found = 0;
-                    bool all = true;
-                    for (std::int64_t n = from; n < to; ++n) {
-                        const Sample s = trace[n * data.stride[2]];
-                        const value a = std::abs(s.real()), b = std::abs(s.imag());
-                        const value larger = a > b ? a : b;
-                        all &= a <= limit && b <= limit;
-                        found = larger > found ? larger : found;
+                    for (std::int64_t n = from; n < to && std::isfinite(found); n += at_once) {
+                        const std::int64_t count = std::min(at_once, to - n);
+                        for (std::int64_t k = 0; k < count; ++k) copy[k] = trace[(n + k) * step];
+                        const value here = largest(reinterpret_cast<const value*>(copy), 2 * count);
+                        found = here <= found ? found : here;
                     }
-                    finite = finite && all;
-                    return static_cast<double>(found);
+                    return found;
                 };
-                most(0, begin[flat]);
-                const double found = most(begin[flat], end[flat]);
-                most(std::max(begin[flat], end[flat]), data.shape[2]);
-                out[flat] = finite ? found : HUGE_VAL;
+                const value found = most(begin[flat], end[flat]);
+                const bool finite = std::isfinite(found) && std::isfinite(most(0, begin[flat])) &&
+                                    std::isfinite(most(std::max(begin[flat], end[flat]), data.shape[2]));
+                out[flat] = finite ? static_cast<double>(found) : HUGE_VAL;
             }
         },
         tick);

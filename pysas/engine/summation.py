@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import _numba
+from pysas.engine import _numba, _numba_samples
 from pysas.engine.preparation import Interpolator, coefficients, segments
 from pysas.engine.traces import Records, reals
 
@@ -85,42 +85,36 @@ class Totals:
 def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
     """As native.peaks."""
     traces = data if data.ndim == 3 else data[:, None, :]
-    channels = traces.shape[1]
     found = np.zeros(traces.shape[:2])
+    begin, end = (np.asarray(at).reshape(found.shape) for at in (begin, end))
+    size = max(1, 2**16 // (traces.shape[1] * traces.shape[2]))
 
-    def measure(ping: int) -> None:
-        for part in (traces[ping].real, traces[ping].imag):
-            whole = np.maximum(part.max(axis=-1), -part.min(axis=-1))
-            for channel in range(channels):
-                most, flat = whole[channel], ping * channels + channel
-                if np.isfinite(most):
-                    read = part[channel, begin[flat] : end[flat]]
-                    most = max(read.max(initial=0), -read.min(initial=0))
-                # of a NaN and a number either may come first
-                found[ping, channel] = max(found[ping, channel], most) if np.isfinite(most) else np.inf
+    def measure(task: int) -> None:
+        some = slice(task * size, (task + 1) * size)
+        pool.call(_numba_samples.peaks, _native(traces[some]), begin[some], end[some], found[some])
 
-    pool.run(measure, traces.shape[0], threads)
+    pool.run(measure, -(-traces.shape[0] // size), threads)
     return found
+
+
+def _native(samples: ComplexArray) -> ComplexArray:
+    """`samples` in this machine's byte order, in which alone Numba reads."""
+    return samples if samples.dtype.isnative else samples.astype(samples.dtype.newbyteorder("="))
 
 
 def mean_squares(
     data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float, threads: int
 ) -> FloatArray:
     """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off records."""
-    _, channels, n_sample = data.shape
-    out = np.zeros(trace.size)
-    size = max(1, 2**18 // min(2 * reach + 1, n_sample))
+    out, channels = np.zeros(trace.size), data.shape[1]
+    size = max(1, 2**16 // min(2 * reach + 1, data.shape[2]))
     inverse = min(1 / scale, np.finfo(np.float64).max)  # one over a subnormal is infinite
 
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
-        low, high = np.maximum(place[some] - reach, 0), np.minimum(place[some] + reach, n_sample - 1)
-        at = low[:, None] + np.arange(max(0, int(np.max(high - low, initial=-1)) + 1))
-        ping, channel = np.divmod(trace[some, None], channels)
-        with np.errstate(over="ignore", invalid="ignore"):  # squares of float64 may be no numbers
-            near = data[ping, channel, np.minimum(at, n_sample - 1)].astype(np.complex128)
-            squares = (near.real * inverse) ** 2 + (near.imag * inverse) ** 2
-            out[some] = np.sum(squares, axis=1, where=at <= high[:, None]) / (2 * reach + 1)
+        first, last = np.min(trace[some]) // channels, np.max(trace[some]) // channels
+        near = _native(data[first : last + 1])
+        pool.call(_numba_samples.mean_squares, near, trace[some] - first * channels, place[some], reach, inverse, out[some])
 
     pool.run(measure, -(-trace.size // size), threads)
     return out
