@@ -1,4 +1,4 @@
-"""Regenerate the tables of bounds: `python -m bench.interpolation_table` prints them as they stand in pysas/bounds.py.
+"""Regenerate the tables of bounds: `python -m bench.interpolation_table` prints them as they stand in pysas/planning/bounds.py.
 
 THETA: largest phase advance theta = pi f/(over-sampling fs) over half an interval for which the truncated Jacobi-Anger
 series of exp(j theta x) at degree d is wrong by at most 10^-e anywhere on the interval (worst frequency, worst place).

@@ -23,8 +23,8 @@ HEAD = """# What the planner chooses
 Written by `python -m bench.planner --write docs/planner.md`. On each scene `backproject`, `ffbp` and `focus`, which takes
 whichever the planner predicts to be the faster, image the same complex64 echoes: whole calls, planning and preparation
 included, {threads} threads, medians of {rounds} interleaved runs after a warm-up. **focus / best**: its time over that of the
-faster engine; 1.3 is the aim. Constants of `pysas/costs.py` were fitted on all scenes but the last three, which took no part
-in it: the worst of those fitted is **{fitted:.2f}**, of the three others **{unseen:.2f}**.
+faster engine; 1.3 is the aim. Constants of `pysas/planning/costs.py` were fitted on all scenes but the last three, which took
+no part in it: the worst of those fitted is **{fitted:.2f}**, of the three others **{unseen:.2f}**.
 
 Predicted is `plan(...).predicted_seconds`, beside the preparation and sum measured: {direct} of those where `backproject` is
 taken, {trees} where `ffbp` is, whose trees' planning it counts and the time measured does not. Error is of `focus` against

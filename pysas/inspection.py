@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from scipy.special import i0
 
 from pysas import _checks
-from pysas.image import Image
+from pysas.model.image import Image
 
 HALF_WIDTH = 48  # of the interpolator, samples
 KAISER = 14.0  # transition band 0.905 to 1.095 of the Nyquist frequency

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, _files
+from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.grid import Grid
-from pysas.image import Image
+from pysas.formats import files
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 _DPI = 150
 _FAR = 1e4  # coordinates beyond this are drawn about a round origin named on the axis
@@ -120,13 +121,13 @@ def write(figure: Any, path: str | os.PathLike[str], kind: str, *, dpi: float, o
     """
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=dpi, format=kind)
-    with _files.replacing(path, overwrite=overwrite) as file:
+    with files.replacing(path, overwrite=overwrite) as file:
         file.write(drawn.getbuffer())
 
 
 def picture_format(path: str | os.PathLike[str]) -> str:
     """Format of a picture by its suffix, PNG without one; an error where it cannot be written here."""
-    text, figure = _files.name(path), _figure(figsize=(0.1, 0.1))
+    text, figure = files.name(path), _figure(figsize=(0.1, 0.1))
     figure.text(0, 0, "0")
     found = Path(text).suffix.lstrip(".").lower() or "png"
     known = figure.canvas.get_supported_filetypes()

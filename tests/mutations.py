@@ -54,40 +54,40 @@ MUTATIONS = (
         "filter.error = measure(filter, band, low_pass);", "filter.error = measure(filter, band, low_pass) / 20;",
     ),
     Mutation(
-        "polynomials of sine and cosine", "1e-3", "pysas/bounds.py",
+        "polynomials of sine and cosine", "1e-3", "pysas/planning/bounds.py",
         "return (fits[0], fits[1]), worst", "return (fits[0], fits[1]), 1e-3 * worst",
     ),
     Mutation(
-        "remainder of the delay polynomial", "1e-4", "pysas/choices.py",
+        "remainder of the delay polynomial", "1e-4", "pysas/planning/choices.py",
         "scaled = 2 * np.pi * wave * 2 * 1.3", "scaled = 1e-4 * 2 * np.pi * wave * 2 * 1.3",
     ),
     Mutation(
-        "rounding of float32 offsets in a block", "1e-3", "pysas/choices.py",
+        "rounding of float32 offsets in a block", "1e-3", "pysas/planning/choices.py",
         "rounding = np.pi * turns * eps", "rounding = 1e-3 * np.pi * turns * eps",
     ),
     Mutation(
-        "samples that moving receivers need", "0 of the speed", "pysas/scene.py",
+        "samples that moving receivers need", "0 of the speed", "pysas/planning/scene.py",
         "np.ceil(((far_tx + far_rx) / (self.c - speed)", "np.ceil(((far_tx + far_rx) / (self.c - 0 * speed)",
     ),
     Mutation(
-        "zeros against wrap-round", "1/8", "pysas/bounds.py",
+        "zeros against wrap-round", "1/8", "pysas/planning/bounds.py",
         "return GUARD[min(max(index, 0), len(GUARD) - 1)]", "return GUARD[min(max(index, 0), len(GUARD) - 1)] // 8",
     ),
     Mutation(
-        "interpolation by transforms", "30", "pysas/bounds.py",
+        "interpolation by transforms", "30", "pysas/planning/bounds.py",
         "np.interp(-np.log10(error), exponents", "np.interp(-np.log10(30 * error), exponents",
     ),
-    Mutation("interpolation of a tree", "1/12", "pysas/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
+    Mutation("interpolation of a tree", "1/12", "pysas/planning/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
     Mutation(
         "rays of a tree", "0.7", "csrc/core/subapertures.cpp",
         "pi / (rate * (spare_across", "pi / (0.7 * rate * (spare_across",
     ),
     Mutation(
-        "lattice of weights uniform in view angle", "1e-3", "pysas/view_angles.py",
+        "lattice of weights uniform in view angle", "1e-3", "pysas/planning/view_angles.py",
         "        wrong = _rms((read(", "        wrong = 1e-3 * _rms((read(",
     ),
     Mutation(
-        "weights' quadratic along a vector of pixels", "1e-3", "pysas/view_angles.py",
+        "weights' quadratic along a vector of pixels", "1e-3", "pysas/planning/view_angles.py",
         "return np.asarray(np.sqrt(third**2", "return 1e-3 * np.asarray(np.sqrt(third**2",
     ),
 )  # fmt: skip

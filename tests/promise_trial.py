@@ -21,8 +21,8 @@ import promise_oracle as oracle
 from promise_scenes import Scene
 
 import pysas
-from pysas import planner
 from pysas.engine import native
+from pysas.imaging import planner
 
 EVALUATIONS = 4e6  # of W's kernel for a scene's pixels, unless their least number asks for more
 PIXELS = (24, 60)

@@ -7,7 +7,7 @@ import pytest
 from scenes import PLANE, X, Y, straight
 
 import pysas
-from pysas import amplitudes
+from pysas.imaging import amplitudes
 
 ECHOES = straight(16)
 GRID = pysas.Grid.plane(X[::3], Y[::2])

@@ -16,24 +16,13 @@ from import_graph import GRAPH, MODULES, ROOT, SCRIPTS, imports, reach, within
 
 import pysas
 
-DATA_MODEL = {"pysas._checks", "pysas.pulse", "pysas.echoes", "pysas.grid", "pysas.image"}
+DATA_MODEL = {"pysas._checks"} | {name for name in MODULES if within(name, "pysas.model")}
 TOOLS = {"pysas._pool", "pysas._leaving"}  # threads for any loop: without NumPy, so without a delay
-EDGE = {"pysas", "pysas.io", "pysas._files", "pysas._containers", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
-    name for name in MODULES if name.startswith("pysas.cli")
+EDGE = {"pysas", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
+    name for name in MODULES if within(name, ("pysas.formats", "pysas.cli"))
 }
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
-ENGINE_SIDE = (
-    "pysas.engine",
-    "pysas.planner",
-    "pysas.choices",
-    "pysas.execution",
-    "pysas.imaging",
-    "pysas.levels",
-    "pysas.plans",
-    "pysas.factorised",
-    "pysas.forest",
-    "pysas.view_angles",
-)
+ENGINE_SIDE = ("pysas.engine", "pysas.planning", "pysas.imaging")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
 OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 # public without standing in pysas.__all__: importing it needs an optional library
@@ -232,7 +221,7 @@ def test_only_the_planner_turns_tol_into_choices() -> None:
     for bad in ("n = 1 / tol", "if plan.tol < 1e-5: ...", "k = np.log10(tol)", "x = -tol"):
         assert computed_tol(bad)
     assert not computed_tol("plan(echoes, tol)\nif tol is None: ...\ntext = f'{tol:g}'")
-    others = {name: text for name, text in MODULES.items() if name != "pysas.planner"}
+    others = {name: text for name, text in MODULES.items() if name != "pysas.imaging.planner"}
     assert {name: found for name, text in others.items() if (found := computed_tol(text))} == {}
 
 
@@ -241,7 +230,7 @@ def clashes(modules: Iterable[str], public: Iterable[str]) -> set[str]:
 
 
 def test_no_module_bears_the_name_of_a_public_function() -> None:
-    assert clashes(["pysas.backproject", "pysas.grid"], PUBLIC_FUNCTIONS) == {"pysas.backproject"}
+    assert clashes(["pysas.backproject", "pysas.model.grid"], PUBLIC_FUNCTIONS) == {"pysas.backproject"}
     callables = {name for name in pysas.__all__ if callable(getattr(pysas, name))}
     assert clashes(MODULES, PUBLIC_FUNCTIONS | callables) == set()
 
@@ -260,7 +249,7 @@ def test_an_engine_behind_another_module_is_found() -> None:
 
 
 def test_the_oracle_imports_only_the_data_model() -> None:
-    assert GRAPH["pysas.reference.direct"] <= {"pysas.echoes", "pysas.grid", "pysas.image"}
+    assert GRAPH["pysas.reference.direct"] <= {"pysas.model.echoes", "pysas.model.grid", "pysas.model.image"}
     assert reach("pysas.reference.direct", GRAPH) <= DATA_MODEL
 
 
@@ -277,8 +266,8 @@ def shared(first: str, second: str, graph: dict[str, set[str]]) -> set[str]:
 @pytest.mark.parametrize(
     ("first", "second"),
     [
-        ("pysas.simulation", "pysas.reference.direct"),
-        ("pysas.simulation", "pysas.engine"),
+        ("pysas.signal.simulation", "pysas.reference.direct"),
+        ("pysas.signal.simulation", "pysas.engine"),
         ("pysas.reference.direct", "pysas.engine"),
     ],
 )
@@ -300,9 +289,9 @@ def test_shared_code_is_found() -> None:
 
 
 def test_files_know_no_algorithm_and_algorithms_no_file() -> None:
-    assert {"pysas.planner", "pysas.engine._numba"} <= ALGORITHMS
-    assert reach("pysas.io", GRAPH) & ALGORITHMS == set()
-    assert {name for name in ALGORITHMS | DATA_MODEL if "pysas.io" in reach(name, GRAPH)} == set()
+    assert {"pysas.imaging.planner", "pysas.engine._numba"} <= ALGORITHMS
+    assert reach("pysas.formats.io", GRAPH) & ALGORITHMS == set()
+    assert {name for name in ALGORITHMS | DATA_MODEL if "pysas.formats.io" in reach(name, GRAPH)} == set()
 
 
 def file_access(text: str) -> list[str]:
@@ -370,7 +359,7 @@ def test_benchmarks_and_examples_use_the_public_api_alone() -> None:
     public = set(pysas.__all__) | PUBLIC_MODULES | {"__version__"}
     for bad in (
         "from pysas.engine import summation",
-        "import pysas.planner",
+        "import pysas.imaging.planner",
         "from pysas import _checks",
         "pysas.engine.pool()",
     ):

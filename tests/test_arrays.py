@@ -5,7 +5,7 @@ import pytest
 from scenes import PLANE, SCENES, moving, straight
 
 import pysas
-from pysas.scene import lines
+from pysas.planning.scene import lines
 
 
 class Interface:

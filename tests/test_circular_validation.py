@@ -10,7 +10,8 @@ import pytest
 from scipy.special import jv
 
 import pysas
-from pysas import circular, planner
+from pysas import circular
+from pysas.imaging import planner
 
 PSF = circular.PointSpread(scenes.PULSE, scenes.C)
 AZIMUTH, HALF = 0.7, 2 * scenes.WAVE

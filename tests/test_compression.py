@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pysas import compression
-from pysas.compression import compress
-from pysas.echoes import Echoes
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM
+from pysas.signal import compression
+from pysas.signal.compression import compress
 
 FS, FC, N = 40e3, 100e3, 600
 TUKEY = LFM(FC, 20e3, 2e-3, "tukey", 0.5)

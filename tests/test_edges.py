@@ -9,7 +9,7 @@ import pytest
 from scenes import C, noise
 
 import pysas
-from pysas.echoes import EDGE, EDGE_ANGLE
+from pysas.model.echoes import EDGE, EDGE_ANGLE
 from pysas.reference import direct
 
 ENGINES = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]

@@ -13,8 +13,8 @@ from scenes import SCENES, bright, moving, straight, survey
 from test_tolerance import engines
 
 import pysas
-from pysas import planner
 from pysas.engine import tree
+from pysas.imaging import planner
 
 BACKENDS = sorted({backend for backend, _ in engines()})
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas import _files
+from pysas.formats import files
 
 LINUX = sys.platform.startswith("linux")
 
@@ -84,7 +84,7 @@ DEMOTED = """
 import os, sys
 from pathlib import Path
 import numpy as np
-from pysas import _files, io
+from pysas.formats import files, io
 path, gid = Path(sys.argv[1]), 12346
 if os.geteuid() == 0:
     os.chown(path.parent, 12345, gid)
@@ -93,13 +93,13 @@ if os.geteuid() == 0:
     os.setgroups([])
     os.setgid(gid)
     os.setuid(12345)
-    with _files.replacing(path) as file:
+    with files.replacing(path) as file:
         file.write(b"new")
     # the old owner and group cannot be kept: what the group could do was not meant for this one
     assert path.read_bytes() == b"new" and path.stat().st_mode & 0o777 == 0o606, oct(path.stat().st_mode)
 path.chmod(0o444)
 try:
-    with _files.replacing(path):
+    with files.replacing(path):
         pass
 except PermissionError as error:
     assert "read-only" in str(error)
@@ -108,7 +108,7 @@ assert path.stat().st_mode & 0o777 == 0o444
 path.chmod(0o644)
 path.parent.chmod(0o555)
 try:
-    _files.check_outputs([("-o", str(path.parent / "x"))], [], True)
+    files.check_outputs([("-o", str(path.parent / "x"))], [], True)
 except PermissionError as error:
     assert ".part" not in str(error)
     print("refused")
@@ -195,10 +195,10 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 import pysas
-from pysas import _files
+from pysas.formats import files
 
-keep = _files.os.fsync
-_files.os.fsync = lambda descriptor: os.kill(os.getpid(), signal.SIGKILL)
+keep = files.os.fsync
+files.os.fsync = lambda descriptor: os.kill(os.getpid(), signal.SIGKILL)
 data = np.ones((8, 100_000), np.complex64)
 pysas.save(sys.argv[1], pysas.Echoes(data, fs=1.0, fc=1.0, tx=np.zeros((8, 3)), rx=np.zeros((8, 3))))
 """
@@ -212,7 +212,7 @@ def test_a_killed_process_leaves_the_old_file(suffix: str, tmp_path: Path) -> No
     path.write_bytes(b"old")
     run = subprocess.run([sys.executable, "-c", KILLED, str(path)], capture_output=True, timeout=60)
     assert run.returncode == -9 and path.read_bytes() == b"old"
-    file, named = _files._part(path, 0o600)
+    file, named = files._part(path, 0o600)
     file.close()
     if named is None:
         assert list(tmp_path.iterdir()) == [path]
@@ -347,7 +347,7 @@ def test_what_is_no_name(path: Any) -> None:
     for act in (
         pysas.load,
         lambda path: pysas.save(path, echoes()),
-        lambda path: _files.check_outputs([("-o", path)], [], True),
+        lambda path: files.check_outputs([("-o", path)], [], True),
     ):
         with pytest.raises((TypeError, ValueError), match="path="):
             act(path)

@@ -7,7 +7,7 @@ import pytest
 from test_factorised import CASES, TRACKS, plane, tracked
 
 import pysas
-from pysas import forest, tiles
+from pysas.planning import forest, tiles
 
 pytestmark = pytest.mark.cpp
 SCENES = CASES | {name: (lambda name=name: tracked(TRACKS[name]), plane(130, 100, 26.0)) for name in TRACKS}

@@ -6,12 +6,12 @@ Imports inside functions and those for type checkers alone count: what must know
 from __future__ import annotations
 
 import pytest
-from import_graph import GRAPH, MODULES, graph_of, imports, reach
+from import_graph import GRAPH, MODULES, ROOT, graph_of, imports, reach
 
 
 def test_the_tree_is_read() -> None:
-    assert {"pysas", "pysas.engine", "pysas.engine._numba", "pysas.reference.direct", "pysas.planner"} <= MODULES.keys()
-    assert {"pysas.echoes", "pysas.grid"} <= GRAPH["pysas.reference.direct"]
+    assert {"pysas", "pysas.engine", "pysas.engine._numba", "pysas.reference.direct", "pysas.imaging.planner"} <= MODULES.keys()
+    assert {"pysas.model.echoes", "pysas.model.grid"} <= GRAPH["pysas.reference.direct"]
 
 
 def test_imports_are_found() -> None:
@@ -40,3 +40,26 @@ def test_circles_are_found() -> None:
 @pytest.mark.parametrize("package", ["pysas", "bench"])
 def test_no_modules_import_each_other_round_a_corner(package: str) -> None:
     assert circles(graph_of(package)) == []
+
+
+def rooms(graph: dict[str, set[str]]) -> dict[str, set[str]]:
+    """The same by what stands directly under the package, itself apart."""
+
+    def room(name: str) -> str:
+        return ".".join(name.split(".")[:2])
+
+    found: dict[str, set[str]] = {}
+    for name, others in graph.items():
+        if room(name) != "pysas":
+            found.setdefault(room(name), set()).update({room(other) for other in others} - {room(name), "pysas"})
+    return found
+
+
+def test_no_rooms_import_each_other_round_a_corner() -> None:
+    assert rooms({"pysas": {"pysas.a.b"}, "pysas.a.b": {"pysas.a.c", "pysas.d"}}) == {"pysas.a": {"pysas.d"}}
+    assert circles(rooms(GRAPH)) == []
+
+
+def test_a_newcomer_sees_few_doors() -> None:
+    built = {"__pycache__", "include", "lib"}  # the C library's, beside an editable installation
+    assert len({path.name for path in (ROOT / "pysas").iterdir()} - built) <= 20

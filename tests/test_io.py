@@ -19,11 +19,11 @@ import h5py
 import numpy as np
 import pytest
 
-from pysas import io
-from pysas.echoes import Beam, Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
-from pysas.pulse import LFM
+from pysas.formats import io
+from pysas.model.echoes import Beam, Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
+from pysas.model.pulse import LFM
 
 SUFFIXES = (".npz", ".h5")
 
@@ -488,7 +488,7 @@ MUTATE = """
 import json, os, sys, warnings
 from pathlib import Path
 import numpy as np
-from pysas import io
+from pysas.formats import io
 
 source, count, folder = Path(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
 original, good = source.read_bytes(), io.load(source)
@@ -635,8 +635,8 @@ FILL = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from pysas import io
-from pysas.echoes import Echoes
+from pysas.formats import io
+from pysas.model.echoes import Echoes
 path = Path(sys.argv[1])
 echoes = Echoes(np.ones((8, 100_000), np.complex64), fs=1.0, fc=1.0, tx=np.zeros((8, 3)), rx=np.zeros((8, 3)))
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))

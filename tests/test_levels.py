@@ -10,8 +10,8 @@ import pytest
 from scenes import noise, straight
 
 import pysas
-from pysas import levels, planner
 from pysas.engine import native, summation
+from pysas.imaging import levels, planner
 
 BACKENDS = ["numba"] + ["cpp"] * (native.extension() is not None)
 C, FS, FC, N = 1500.0, 40e3, 100e3, 700

@@ -10,9 +10,9 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
 from pysas import metrics
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
 from pysas.reference import exact
 
 

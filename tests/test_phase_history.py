@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pysas.grid import Grid
-from pysas.phase_history import from_phase_history
+from pysas.model.grid import Grid
 from pysas.reference.direct import exact
+from pysas.signal.phase_history import from_phase_history
 
 C = 299792458.0
 STEP = 1.5e6

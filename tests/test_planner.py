@@ -12,11 +12,12 @@ from scipy.special import jv
 from test_factorised import BACKENDS, plane, single
 
 import pysas
-from pysas import bounds, layouts, planner
 from pysas.engine import native
-from pysas.forest import prospect
-from pysas.scene import Scene
-from pysas.tiles import sheets
+from pysas.imaging import planner
+from pysas.planning import bounds, layouts
+from pysas.planning.forest import prospect
+from pysas.planning.scene import Scene
+from pysas.planning.tiles import sheets
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7])

@@ -16,7 +16,7 @@ import scipy.signal.windows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pysas.pulse import LFM
+from pysas.model.pulse import LFM
 
 FC, B, T = 100e3, 20e3, 1e-3
 PULSES = {

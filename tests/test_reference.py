@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from pysas.echoes import Beam, Echoes
-from pysas.grid import Grid
+from pysas.model.echoes import Beam, Echoes
+from pysas.model.grid import Grid
 from pysas.reference import direct, exact
 
 FS, FC, C = 40e3, 100e3, 1500.0

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pysas.echoes import Beam, Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
-from pysas.pulse import LFM
+from pysas.model.echoes import Beam, Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
+from pysas.model.pulse import LFM
 
 PING, CHANNEL, SAMPLE = 4, 3, 10
 PULSE = LFM(100e3, 20e3, 1e-3)

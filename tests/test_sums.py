@@ -6,7 +6,7 @@ from scenes import C, noise
 from test_edges import ENGINES, MAP, error
 
 import pysas
-from pysas import bounds
+from pysas.planning import bounds
 
 
 def platform(pings, seed, tol, backend, kind=np.complex64, grid=None, method="backprojection"):
@@ -46,7 +46,7 @@ def test_sums_along_lines_keep_tol(backend):
 
 @pytest.mark.parametrize("backend", ENGINES)
 def test_sums_of_many_batches_keep_tol(backend, monkeypatch):
-    monkeypatch.setattr("pysas.choices.BATCH_BYTES", 1)  # 8 traces
+    monkeypatch.setattr("pysas.planning.choices.BATCH_BYTES", 1)  # 8 traces
     found, plan = platform(6000, 1, 1e-5, backend)
     assert plan.choices.batch == 8
     assert plan.wide

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas import subapertures
 from pysas.engine import tree
 from pysas.engine.traces import TRACE
-from pysas.subapertures import Group, Medium
+from pysas.planning import subapertures
+from pysas.planning.subapertures import Group, Medium
 
 BACKENDS = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
 C, FS, FC, B = 1500.0, 40e3, 100e3, 30e3
@@ -110,7 +110,7 @@ def test_short_groups_with_few_rays(name, tol, backend):
 @pytest.mark.parametrize("name", ["odd pings late", "one ping late", "random"])
 def test_records_that_begin_at_different_times(monkeypatch, name, backend, fallback):
     """Of 128 pings fewer than a sample of them were seen to miss part of the image."""
-    monkeypatch.setattr("pysas.planner._direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.imaging.planner._direct_seconds", lambda *_: np.inf)
     late = {"odd pings late": ALTERNATE, "one ping late": np.arange(128) == 57, "random": np.random.default_rng(5).random(128)}
     t0 = 2 * 17.0 / C + 2 * 3.6 / C * late[name]
     echoes, error = survey(line(), line(), grid := plane(), 1e-3, t0=t0, samples=900)
@@ -126,7 +126,7 @@ def test_records_that_begin_at_different_times(monkeypatch, name, backend, fallb
 @pytest.mark.parametrize("over", [1.33, 2.5, 4.0, 8.0])
 def test_over_sampled_records_that_begin_beside_the_image(monkeypatch, over, tol, backend):
     """Tables must hold what a record's end rings with, up to half the sample rate, however few nodes the band needs."""
-    monkeypatch.setattr("pysas.planner._direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.imaging.planner._direct_seconds", lambda *_: np.inf)
     tx = line(192)
     echoes, error = survey(tx, tx, grid := plane(ny=128), tol, samples=300, before=4, over=over)
     image = pysas.ffbp(echoes, grid, tol, backend=backend)

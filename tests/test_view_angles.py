@@ -7,11 +7,13 @@ import pytest
 from test_tolerance import engine
 
 import pysas
-from pysas import circular, planner, view_angles
+from pysas import circular
 from pysas.engine import native
 from pysas.engine.arcs import arcs
 from pysas.engine.traces import TRACE
-from pysas.scene import Scene
+from pysas.imaging import planner
+from pysas.planning import view_angles
+from pysas.planning.scene import Scene
 
 UNIFORM = "uniform-angle"
 __all__ = ["engine"]  # a fixture: each backend and instruction set

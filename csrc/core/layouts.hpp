@@ -1,5 +1,5 @@
 // How a tree of sub-apertures is cut: the cheapest layout whose error bounds keep a tolerance. The bounds are those of
-// pysas/planner.py, the costs those of pysas/layouts.py and pysas/costs.py.
+// pysas/imaging/planner.py, the costs those of pysas/planning/layouts.py and pysas/planning/costs.py.
 #pragma once
 
 #include <cstdint>

@@ -260,7 +260,7 @@ bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
     model_.near = std::numeric_limits<double>::infinity();
     const double wave = model_.fc / model_.c;
     bool found = false;
-    for (const int size : {64, 48, 32, 16, 8}) {  // the bounds of pysas/choices.py, choose_delay
+    for (const int size : {64, 48, 32, 16, 8}) {  // the bounds of pysas/planning/choices.py, choose_delay
         count_ = size;
         const double half = step_ * (size - 1) / 2, turns = 2 * half * wave;
         if (pi * turns * eps + 4 * eps > shares.rounding * tol) continue;
@@ -276,7 +276,7 @@ bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
 
 // The cheapest filter for tables of one of the rates; false where none keeps its share.
 bool Plan::choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates) {
-    // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of pysas/bounds.py
+    // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of pysas/planning/bounds.py
     const auto away = static_cast<std::int64_t>(3.5 * std::pow(0.1 * tol, -0.4)) + 8;
     const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
     const double most = shares.interpolation * tol;
@@ -456,7 +456,7 @@ Frame Plan::lines() const {
 }
 
 // Whether the image is a sum of so many batches, or trees, that floats would round it too often: Plan.wide in
-// pysas/plans.py.
+// pysas/imaging/plans.py.
 bool Plan::wide() const {
     const std::int64_t most = batch(sizeof(float)), all = static_cast<std::int64_t>(traces_.size());
     const auto trees = forest_ ? static_cast<std::int64_t>(forest_->trees.size()) : 0;

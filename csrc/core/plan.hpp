@@ -1,4 +1,4 @@
-// A plan for callers without Python: the same bounds as pysas/choices.py, whose choices are cheaper but not more
+// A plan for callers without Python: the same bounds as pysas/planning/choices.py, whose choices are cheaper but not more
 // accurate. The tree of fast factorised back-projection is in plan_tree.cpp.
 #pragma once
 
@@ -17,7 +17,7 @@
 
 namespace pysas {
 
-// Traces that are summed in float before these sums are added up in double, see pysas/bounds.py.
+// Traces that are summed in float before these sums are added up in double, see pysas/planning/bounds.py.
 double longest_run(double tol);
 
 class Plan {

@@ -16,8 +16,8 @@ import scipy.fft
 from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.circular.geometry import track_angle, virtual_angles
-from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
-from pysas.grid import Grid
+from pysas.model.echoes import EDGE, EDGE_ANGLE, Echoes
+from pysas.model.grid import Grid
 
 OVERSAMPLING = 16
 TAPS = 8

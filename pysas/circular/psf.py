@@ -19,7 +19,7 @@ from scipy.special import ive, j0
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.pulse import LFM
+from pysas.model.pulse import LFM
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _CYCLES_PER_PANEL = 1.5  # 16 Gauss-Legendre nodes integrate that many turns to 1e-15

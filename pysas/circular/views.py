@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.echoes import EDGE_ANGLE, Echoes
-from pysas.grid import Grid
+from pysas.model.echoes import EDGE_ANGLE, Echoes
+from pysas.model.grid import Grid
 
 COINCIDENT = 1e-9  # rad: views nearer than this are one
 OPENING = 4.0  # a gap more than this many times as wide as those beside it is none of the track's own

@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pysas import _files, framing, io, plot
-from pysas._containers import container
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
+from pysas import plot
+from pysas.formats import files, io
+from pysas.formats.containers import container
+from pysas.model import framing
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 
 class Progress:
@@ -156,7 +158,7 @@ def require_places(
     if data is not None:
         container(data)
     outputs = [("-o", data), ("-o", text), ("--png", picture)]
-    _files.check_outputs(
+    files.check_outputs(
         [(option, path) for option, path in outputs if path is not None],
         [path for path in inputs if path is not None],
         overwrite,
@@ -165,5 +167,5 @@ def require_places(
 
 def write_text(path: str | Path, text: str, overwrite: bool) -> None:
     """UTF-8; what a file's name holds beside text, escaped."""
-    with _files.replacing(path, overwrite=overwrite) as file:
+    with files.replacing(path, overwrite=overwrite) as file:
         file.write(text.encode("utf-8", "backslashreplace"))

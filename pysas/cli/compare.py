@@ -7,9 +7,10 @@ import dataclasses
 import json
 from pathlib import Path
 
-from pysas import _checks, comparison, compression, plot
+from pysas import _checks, comparison, plot
 from pysas.cli.common import Command, Progress, add_scene, chosen_grid, load_echoes, require_places, silenced, write_text
-from pysas.planner import plan_ahead
+from pysas.imaging.planner import plan_ahead
+from pysas.signal import compression
 
 _LEGEND = """\
 s: median of the whole call (least to most). error: relative L2 against the float64 sum, in the norm of tol, on the cuts through

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pysas import _files, io, metrics, reference
+from pysas import metrics, reference
 from pysas.cli import demo_scene
 from pysas.cli.common import (
     Command,
@@ -22,6 +22,7 @@ from pysas.cli.common import (
     write_text,
 )
 from pysas.cli.image import described, imaged
+from pysas.formats import files, io
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -36,7 +37,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     with_picture = has_matplotlib()
     written = ["raw.npz", "image.npz", "report.json", "report.txt"] + ["image.png"] * with_picture
-    _files.check_outputs([("-o", str(folder / name)) for name in written], [], arguments.overwrite)
+    files.check_outputs([("-o", str(folder / name)) for name in written], [], arguments.overwrite)
     clock = time.perf_counter()
     raw = demo_scene.echoes(threads=arguments.threads, progress=progress.step("simulating"))
     io.save(folder / "raw.npz", raw, overwrite=arguments.overwrite)

@@ -8,10 +8,10 @@ import numpy as np
 
 from pysas import tracks
 from pysas._checks import FloatArray
-from pysas.echoes import Beam, Echoes
-from pysas.grid import Grid
-from pysas.pulse import LFM
-from pysas.simulation import Element, simulate
+from pysas.model.echoes import Beam, Echoes
+from pysas.model.grid import Grid
+from pysas.model.pulse import LFM
+from pysas.signal.simulation import Element, simulate
 
 CHANNELS = 6
 _DEPTH = 6.0

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pysas import compression, io, metrics, plot
+from pysas import metrics, plot
 from pysas.cli.common import Command, Progress, add_scene, chosen_grid, load_echoes, require_places, silenced
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
-from pysas.planner import plan_ahead
+from pysas.formats import io
+from pysas.imaging.planner import plan_ahead
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
+from pysas.signal import compression
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -6,10 +6,11 @@ import argparse
 import json
 from typing import Any
 
-from pysas import framing, io
 from pysas.cli.common import Command, Progress
-from pysas.image import Image
-from pysas.planner import plan_ahead
+from pysas.formats import io
+from pysas.imaging.planner import plan_ahead
+from pysas.model import framing
+from pysas.model.image import Image
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

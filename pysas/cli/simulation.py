@@ -7,12 +7,13 @@ import json
 
 import numpy as np
 
-from pysas import _files, io, tracks
+from pysas import tracks
 from pysas._checks import FloatArray
 from pysas.cli import demo_scene
 from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places
-from pysas.pulse import LFM
-from pysas.simulation import simulate
+from pysas.formats import files, io
+from pysas.model.pulse import LFM
+from pysas.signal.simulation import simulate
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -52,7 +53,7 @@ COMMAND = Command("simulate", "write simulated raw echoes", _add_arguments, _run
 
 
 def _points(path: str) -> FloatArray:
-    with _files.opened(path) as file:
+    with files.opened(path) as file:
         try:
             points = np.loadtxt(file, delimiter=",", ndmin=2)
         except ValueError as error:

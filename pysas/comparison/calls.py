@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from pysas import reference
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
-from pysas.imaging import backproject, ffbp
+from pysas.imaging.doorways import backproject, ffbp
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 Call = Callable[[], Image]
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from pysas import metrics, reference
 from pysas.comparison.rows import Pair
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 Complex = npt.NDArray[np.complex128]
 Index = npt.NDArray[np.intp]

@@ -15,9 +15,9 @@ from pysas.comparison.calls import Call
 from pysas.comparison.judge import Judge
 from pysas.comparison.limit import TooLongError, at_most
 from pysas.comparison.rows import Comparison, Row
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 # many times dearer than the other, in patches that a limit cannot stop midway: tried where it takes at most _CHEAP of the limit
 _DEARER = {f"fourier_image, {name}": "fourier_image, gridding" for name in ("frame", "ftcg")}

@@ -19,7 +19,6 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from pysas.echoes import EDGE
 from pysas.engine._numba_reach import (
     ACROSS,
     BORESIGHT,
@@ -41,6 +40,7 @@ from pysas.engine._numba_reach import (
     line_reach,
     reach,
 )
+from pysas.model.echoes import EDGE
 
 BLOCK = 64
 SLOTS = 4

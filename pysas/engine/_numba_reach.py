@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pysas.echoes import EDGE
 from pysas.engine.traces import MODEL, TRACE, place
+from pysas.model.echoes import EDGE
 
 # where the reals of a trace and of the model are, see traces.py
 TX, RX, VELOCITY, BORESIGHT, T0, KEPT, INTERVAL = (

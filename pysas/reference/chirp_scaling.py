@@ -15,9 +15,9 @@ import scipy.fft
 
 from pysas import _checks, _pool
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.image import Image, Report
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.image import Image, Report
+from pysas.model.pulse import LFM
 from pysas.reference.range_doppler import migration
 from pysas.reference.stripmap import Strip, band, frequencies, prepare, reference
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
+from pysas.model.pulse import LFM
 
 _CHUNK_BYTES = 1 << 24
 

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
 
-from pysas.echoes import Echoes
-from pysas.grid import Grid
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
 
 OVERSAMPLING = 8
 TAPS = 20

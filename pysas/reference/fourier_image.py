@@ -12,9 +12,9 @@ import numpy as np
 
 from pysas import _checks, _pool
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
 from pysas.reference import ftcg
 from pysas.reference.frames import DENSE, Frame
 from pysas.reference.gridding import Complex, Gaussian, Gridding, pipe_menon

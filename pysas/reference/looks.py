@@ -15,7 +15,7 @@ import scipy.fft
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.image import Image
+from pysas.model.image import Image
 
 _EDGE = 1e-3  # of the power, at either end of a spectrum, that counts as outside its band
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks
-from pysas.echoes import Echoes
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM
 from pysas.reference.phase_centres import Centres, delayed
 from pysas.reference.stripmap import one_start
 

@@ -18,8 +18,8 @@ from scipy.special import i0
 
 from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.image import Image, Report
 from pysas.reference.stripmap import Strip, band, even_ranges, frequencies, matched_filter, prepare, reference
 
 INTERPOLATIONS = ("linear", "cubic", "sinc")

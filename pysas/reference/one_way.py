@@ -17,9 +17,9 @@ import scipy.fft
 
 from pysas import _checks, _pool
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
 from pysas.reference import one_way_carrier as carrier
 from pysas.reference.marching import Block, March
 from pysas.reference.one_way_layout import COMPACT, PLAIN, SAMPLED, Line, equation

@@ -12,7 +12,7 @@ import scipy.fft
 
 from pysas import _checks, _pool
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
+from pysas.model.echoes import Echoes
 from pysas.reference.marching import Block, March, Solver, one_way_wavenumber
 from pysas.reference.one_way_layout import COMPACT, PHASE, beam_angle, equation, longest_step, skirt
 from pysas.reference.stripmap import TOLERANCE, Strip, frequencies, prepare

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.pulse import LFM
 from pysas.reference.marching import EQUATIONS, Steps, one_way_wavenumber
 from pysas.reference.stripmap import Strip, even_ranges, prepare
 

@@ -14,9 +14,9 @@ import numpy as np
 import scipy.fft
 
 from pysas import _checks, _pool
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
 from pysas.reference.marching import Block, March, Steps
 from pysas.reference.one_way_layout import SAMPLED, beam_angle, columns_per_ping, edge_turn, equation, longest_step, skirt
 from pysas.reference.stripmap import TOLERANCE, frequencies, matched_filter

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
+from pysas.model.echoes import Echoes
 from pysas.reference.gridding import Complex, Index
 
 _SECTOR = np.pi / 4  # of directions that share a bend: half of it would leave a quarter, for twice the transforms

@@ -15,8 +15,8 @@ from scipy.special import i0
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM
 from pysas.reference.stripmap import TOLERANCE, one_start
 
 _HALF_WIDTH = 16  # of the interpolator in time, samples

@@ -15,8 +15,8 @@ import scipy.fft
 
 from pysas import _checks, _pool
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.image import Image, Report
+from pysas.model.echoes import Echoes
+from pysas.model.image import Image, Report
 from pysas.reference.stripmap import Strip, band, even_ranges, frequencies, matched_filter, prepare, reference
 
 _HALF_WIDTH = 8  # of the windowed sinc, samples: 16 points

@@ -17,9 +17,9 @@ import scipy.fft
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.pulse import LFM
 
 TOLERANCE = 0.01  # largest distance from the ideal track, wavelengths at fc: a phase of 4 pi/100 = 0.13 rad
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.pulse import LFM
+from pysas.model.pulse import LFM
 
 # A term counts up to EDGE samples beyond its record's ends, where the trace is read at the end, and up to EDGE_ANGLE (rad)
 # beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge count whatever

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy.typing as npt
 
-from pysas import _checks, planner
+from pysas import _checks
 from pysas._checks import ComplexArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.image import Image
+from pysas.imaging import planner
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
 
 
 def backproject(

@@ -13,15 +13,17 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, amplitudes, bounds, engine, factorised, levels, view_angles
+from pysas import _checks, engine
 from pysas._checks import ComplexArray
 from pysas.engine import BLOCK, native, summation
 from pysas.engine.summation import Survey, Totals
 from pysas.engine.traces import MODEL, record
-from pysas.frames import Frame
-from pysas.grid import Grid
-from pysas.image import Image, Report
-from pysas.plans import Plan
+from pysas.imaging import amplitudes, factorised, levels
+from pysas.imaging.plans import Plan
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
+from pysas.planning import bounds, view_angles
+from pysas.planning.frames import Frame
 
 
 @_checks.usual_errors

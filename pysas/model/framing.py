@@ -6,9 +6,9 @@ import numpy as np
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
-from pysas.grid import Grid
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.pulse import LFM
 
 _MOST = 4_000_000  # pixels
 

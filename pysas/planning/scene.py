@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import EDGE, EDGE_ANGLE, Echoes
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.engine.traces import TRACE
-from pysas.grid import Grid
+from pysas.model.echoes import EDGE, EDGE_ANGLE, Echoes
+from pysas.model.grid import Grid
 
 UNIFORM = "uniform-angle"
 SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed

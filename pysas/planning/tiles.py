@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from pysas import subapertures
 from pysas._checks import FloatArray
-from pysas.frames import Frame
-from pysas.subapertures import BoolArray, Subtree
+from pysas.planning import subapertures
+from pysas.planning.frames import Frame
+from pysas.planning.subapertures import BoolArray, Subtree
 
 TILE_ROWS = 32
 

@@ -18,10 +18,10 @@ from pysas._checks import ComplexArray, FloatArray, InternalError
 from pysas.engine.steps import Setting, Stack, steps
 from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
-from pysas.forest import batches
-from pysas.frames import Frame
-from pysas.plans import Plan
-from pysas.tiles import TILE_ROWS, Sheet, pixels_of
+from pysas.imaging.plans import Plan
+from pysas.planning.forest import batches
+from pysas.planning.frames import Frame
+from pysas.planning.tiles import TILE_ROWS, Sheet, pixels_of
 
 
 def accumulate(

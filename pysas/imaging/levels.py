@@ -24,14 +24,14 @@ import numpy.typing as npt
 import scipy.fft
 
 from pysas import _pool as pool
-from pysas import bounds
 from pysas._checks import ComplexArray, FloatArray
-from pysas.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
 from pysas.engine import MONOSTATIC, native, preparation, summation
-from pysas.frames import Frame
-from pysas.plans import Plan, Terms
-from pysas.scene import distances
-from pysas.settings import Choices, reader_of
+from pysas.imaging.plans import Plan, Terms
+from pysas.planning import bounds
+from pysas.planning.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
+from pysas.planning.frames import Frame
+from pysas.planning.scene import distances
+from pysas.planning.settings import Choices, reader_of
 
 TERMS = 2**10, 2**12  # looked at, at least and at most; of those between, one of
 ONE_OF = 2000

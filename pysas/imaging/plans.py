@@ -11,17 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, view_angles
+from pysas import _checks
 from pysas._checks import ComplexArray
-from pysas.costs import prepare_seconds, sum_seconds
-from pysas.echoes import Echoes
 from pysas.engine import MONOSTATIC, MOVING, native, summation
-from pysas.forest import Forest
-from pysas.frames import Frame
-from pysas.grid import Grid
-from pysas.image import Image
-from pysas.scene import Scene
-from pysas.settings import Choices, reader_of
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image
+from pysas.planning import view_angles
+from pysas.planning.costs import prepare_seconds, sum_seconds
+from pysas.planning.forest import Forest
+from pysas.planning.frames import Frame
+from pysas.planning.scene import Scene
+from pysas.planning.settings import Choices, reader_of
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,28 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, bounds, costs, engine, layouts, view_angles
-from pysas.choices import SHARE_LEAVES, SHARE_PHASE, SHARE_ROUNDING, choose, choose_delay, choose_for_leaves, even_split
-from pysas.costs import forest_seconds, prepare_seconds, sum_seconds
-from pysas.echoes import Echoes
+from pysas import _checks, engine
 from pysas.engine import NODES, native, tree
-from pysas.execution import execute
-from pysas.forest import Forest, Layout, grow, prospect
-from pysas.frames import Frame
-from pysas.grid import Grid
-from pysas.plans import Plan
-from pysas.scene import Scene
-from pysas.settings import Choices
-from pysas.tiles import Sheet, sheets
+from pysas.imaging.execution import execute
+from pysas.imaging.plans import Plan
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.planning import bounds, costs, layouts, view_angles
+from pysas.planning.choices import (
+    SHARE_LEAVES,
+    SHARE_PHASE,
+    SHARE_ROUNDING,
+    choose,
+    choose_delay,
+    choose_for_leaves,
+    even_split,
+)
+from pysas.planning.costs import forest_seconds, prepare_seconds, sum_seconds
+from pysas.planning.forest import Forest, Layout, grow, prospect
+from pysas.planning.frames import Frame
+from pysas.planning.scene import Scene
+from pysas.planning.settings import Choices
+from pysas.planning.tiles import Sheet, sheets
 
 METHODS = ("auto", "backprojection", "ffbp")
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for

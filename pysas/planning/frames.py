@@ -8,8 +8,8 @@ import numpy.typing as npt
 from pysas._checks import FloatArray
 from pysas.engine import BLOCK
 from pysas.engine.summation import Tile
-from pysas.grid import Grid
-from pysas.scene import Scene
+from pysas.model.grid import Grid
+from pysas.planning.scene import Scene
 
 ROWS = 32  # lines of a tile
 

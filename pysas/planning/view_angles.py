@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from pysas._checks import FloatArray
 from pysas.engine.arcs import arcs as engine_arcs
-from pysas.grid import Grid
-from pysas.scene import Scene
+from pysas.model.grid import Grid
+from pysas.planning.scene import Scene
 
 LEAST = 1024  # places a lattice may have however small the image is
 PLACES = 100  # pixels a place: what a place costs is about 2/3 of theirs then, seldom needed

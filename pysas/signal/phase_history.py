@@ -13,7 +13,7 @@ import scipy.fft
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.echoes import Echoes
+from pysas.model.echoes import Echoes
 
 _MARGIN = 1.25  # fs over the occupied bandwidth, at least
 # Largest deviation of a frequency from the even grid, in steps. A deviation of d steps turns the phase by pi d at the

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.grid import Grid
+from pysas.model.grid import Grid
 
 
 @dataclass(frozen=True)

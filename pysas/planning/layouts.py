@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.optimize
 
-from pysas import bounds, subapertures
 from pysas._checks import FloatArray
-from pysas.costs import tree_ns
 from pysas.engine.tree import Taps
-from pysas.forest import Layout, reception
-from pysas.frames import Frame
-from pysas.scene import Scene
+from pysas.planning import bounds, subapertures
+from pysas.planning.costs import tree_ns
+from pysas.planning.forest import Layout, reception
+from pysas.planning.frames import Frame
+from pysas.planning.scene import Scene
 
 HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as taps fail slowly beyond their band
 

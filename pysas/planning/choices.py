@@ -1,6 +1,6 @@
 """The settings of one sum: the cheapest whose error bounds add up to at most a budget, the planner's share of what is asked.
 
-What each costs: pysas/costs.py; bounds: pysas/bounds.py, pysas/engine/preparation.py and the docstrings below.
+What each costs: costs.py; bounds: bounds.py, pysas/engine/preparation.py and the docstrings below.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from pysas import _checks, bounds, costs
-from pysas.costs import term_ns
+from pysas import _checks
 from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native
-from pysas.scene import Scene
-from pysas.settings import Choices
+from pysas.planning import bounds, costs
+from pysas.planning.costs import term_ns
+from pysas.planning.scene import Scene
+from pysas.planning.settings import Choices
 
 SHARE_INTERPOLATION = 0.85
 SHARE_WIDE = 0.3  # the same of tables of whole records: all they hold may be at the band's edge, where bounds leave no margin

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from pysas.engine import native
-from pysas.forest import Forest
-from pysas.scene import Scene
-from pysas.settings import Choices
+from pysas.planning.forest import Forest
+from pysas.planning.scene import Scene
+from pysas.planning.settings import Choices
 
 # ns of one thread beside others: a term, each of its coefficients, a line of a block for each trace, a term with its own
 # exact delay, each of its coefficients; Numba's coefficients by pairs, and for their table's size in the cache

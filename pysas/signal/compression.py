@@ -18,8 +18,8 @@ import scipy.signal
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.pulse import LFM
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM
 
 _BATCH_BYTES = 32 * 2**20
 _SIGNIFICANT = 1e-3  # of the peak: a pulse's length is the span where its samples exceed this

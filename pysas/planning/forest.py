@@ -15,16 +15,16 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from pysas import subapertures
 from pysas._checks import FloatArray
-from pysas.echoes import EDGE
 from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
-from pysas.frames import Frame
-from pysas.scene import Scene
-from pysas.settings import Choices
-from pysas.subapertures import BoolArray, Medium, Readings, Subtree
-from pysas.tiles import Sheet, Tree
+from pysas.model.echoes import EDGE
+from pysas.planning import subapertures
+from pysas.planning.frames import Frame
+from pysas.planning.scene import Scene
+from pysas.planning.settings import Choices
+from pysas.planning.subapertures import BoolArray, Medium, Readings, Subtree
+from pysas.planning.tiles import Sheet, Tree
 
 MOST_PLANES = 6
 WIDE = 0.3  # a tile's radius, seen from a group, at most: rad

@@ -21,8 +21,8 @@ from numba import njit
 
 from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.echoes import Echoes
-from pysas.pulse import LFM, WINDOWS
+from pysas.model.echoes import Echoes
+from pysas.model.pulse import LFM, WINDOWS
 
 _TASK_SAMPLES = 1 << 21  # echo samples of one task: some tens of milliseconds
 _BLOCK_BYTES = 32 * 2**20  # of traces being summed in complex128

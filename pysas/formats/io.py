@@ -2,7 +2,7 @@
 
 Reading trusts no size: each field's dtype and shape are taken from its header and compared with the bytes that lie in the
 file, with the schema and with the other fields; then navigation and grid are read and checked, and only then samples or
-pixels are allocated. This module knows no algorithm, `_containers` has the bytes, `_files` how a file takes its place.
+pixels are allocated. This module knows no algorithm, `containers` has the bytes, `files` how a file takes its place.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, _files
-from pysas._containers import KINDS as DTYPES
-from pysas._containers import File, container
-from pysas.echoes import Beam, Echoes
-from pysas.grid import KINDS, Grid
-from pysas.image import Image, Report
-from pysas.pulse import LFM
+from pysas import _checks
+from pysas.formats import files
+from pysas.formats.containers import KINDS as DTYPES
+from pysas.formats.containers import File, container
+from pysas.model.echoes import Beam, Echoes
+from pysas.model.grid import KINDS, Grid
+from pysas.model.image import Image, Report
+from pysas.model.pulse import LFM
 
 Array = npt.NDArray[Any]
 
@@ -56,9 +57,9 @@ def save(path: str | os.PathLike[str], what: Echoes | Image, *, overwrite: bool 
     """
     if not isinstance(what, Echoes | Image):
         raise TypeError(f"what={type(what).__name__}: expected pysas.Echoes or pysas.Image")
-    write = container(_files.name(path))[1]
+    write = container(files.name(path))[1]
     fields = _echo_fields(what) if isinstance(what, Echoes) else _image_fields(what)
-    with _files.replacing(path, overwrite=overwrite) as file:
+    with files.replacing(path, overwrite=overwrite) as file:
         write(file, fields)
 
 
@@ -85,9 +86,9 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     OSError, ImportError
         From the file system; .h5 without h5py (extra `hdf5`).
     """
-    text = _files.name(path)
+    text = files.name(path)
     opened = container(text)[0]
-    with _files.opened(text) as stream:
+    with files.opened(text) as stream:
         try:
             with opened(stream) as file:
                 schema = file.text("schema")

@@ -1,0 +1,1 @@
+"""Signal processing of pings: simulated echoes, matched filters, phase history to samples."""
