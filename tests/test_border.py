@@ -283,8 +283,8 @@ def test_a_fault_in_planning_trees_leaves_the_direct_sum(monkeypatch):
     def fail(*_, **__):
         raise _checks.InternalError("no such tree")
 
-    monkeypatch.setattr(planner, "_plant", fail)
-    monkeypatch.setattr(planner, "_site", fail)
+    monkeypatch.setattr(planner, "_trees", fail)
+    monkeypatch.setattr(planner, "_candidate", fail)
     expected = pysas.backproject(ECHOES, PLANE)
     for image in (pysas.focus(ECHOES, PLANE), pysas.ffbp(ECHOES, PLANE)):
         assert np.array_equal(image.data, expected.data)

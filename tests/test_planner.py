@@ -15,9 +15,9 @@ import pysas
 from pysas.engine import native
 from pysas.imaging import planner
 from pysas.planning import bounds, layouts
-from pysas.planning.forest import prospect
+from pysas.planning.forest import served
 from pysas.planning.scene import Scene
-from pysas.planning.tiles import sheets
+from pysas.planning.tiles import sections
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7])
@@ -270,7 +270,7 @@ def test_trees_are_judged_before_they_are_grown(long):
     """By the share that some groups would serve, and by what a sum with them would take: as counted once they stand."""
     tree = pysas.plan(long, LARGE, 1e-3, "ffbp")
     forest = tree.forest
-    part, planes, groups = prospect(forest.scene, sheets(forest.frame), forest.layout, tree.choices.near, 0.0)
+    part, planes, groups = served(forest.scene, sections(forest.raster), forest.layout, tree.choices.near, 0.0)
     assert part == pytest.approx(forest.share, abs=0.1)
     assert planes * groups == len(forest.trees)
 
@@ -292,7 +292,7 @@ def test_trees_are_judged_by_some_of_the_tiles_that_are_wanted(long, corner, mon
     monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
     tree = pysas.plan(long, grid, 1e-3, "ffbp")
     few, all = (
-        prospect(tree.forest.scene, sheets(tree.forest.frame), tree.forest.layout, tree.choices.near, 0.0, tiles=n)[0]
+        served(tree.forest.scene, sections(tree.forest.raster), tree.forest.layout, tree.choices.near, 0.0, tiles=n)[0]
         for n in (20, 10**9)
     )
     assert few == pytest.approx(all, abs=0.1) and all > 0.3

@@ -174,7 +174,9 @@ def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
     reads = subapertures.Readings(0.0, np.array([[-1.0, 1.0]]), np.array([[20.0, 40.0]]))
     taps = tree.taps(6, 1.2, 8)
     grown = [
-        subapertures.plant(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, compiled)
+        subapertures.make_subtree(
+            members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, compiled
+        )
         for left in (100_000, 10_000_000)
     ]
     assert grown[0] is None and grown[1] is not None

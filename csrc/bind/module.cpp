@@ -237,15 +237,15 @@ std::int64_t add_batch(const py::array& table, int degree, const std::vector<dou
                 throw py::value_error("own weights: (point, trace) of whole blocks of points");
             terms.weights = each.data;
         }
-        const Frame frame{pointer(first),
-                          pointer(step),
-                          pointer(points),
-                          mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-                          to.shape[0],
-                          to.shape[1],
-                          count};
+        const Raster raster{pointer(first),
+                            pointer(step),
+                            pointer(points),
+                            mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
+                            to.shape[0],
+                            to.shape[1],
+                            count};
         const Released gil;
-        return add(kernels, terms, frame, to, threads, check);
+        return add(kernels, terms, raster, to, threads, check);
     };
     if (table.itemsize() == 8) return call(double(), std::complex<double>());
     if (image.itemsize() == 8) return call(float(), std::complex<float>());
@@ -357,15 +357,15 @@ void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<
     }
     const auto call = [&](auto pixel) {
         const auto to = view<decltype(pixel), 2>(image);
-        const Frame frame{pointer(first),
-                          pointer(step),
-                          points ? points->data() : nullptr,
-                          mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-                          to.shape[0],
-                          to.shape[1],
-                          count};
+        const Raster raster{pointer(first),
+                            pointer(step),
+                            points ? points->data() : nullptr,
+                            mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
+                            to.shape[0],
+                            to.shape[1],
+                            count};
         const Released gil;
-        read(kernels, tree.tree, from[0], frame, points ? &stack : nullptr, wanted.data(), to, threads, check);
+        read(kernels, tree.tree, from[0], raster, points ? &stack : nullptr, wanted.data(), to, threads, check);
     };
     if (image.itemsize() == 8)
         call(std::complex<float>());
@@ -378,9 +378,9 @@ py::array_t<T> array(const std::vector<T>& values) {
     return py::array_t<T>(static_cast<py::ssize_t>(values.size()), values.data());
 }
 
-py::tuple plant_group(const py::array& trace, const Array<double>& centres, const Array<std::int64_t>& order,
-                      const Array<double>& medium, const std::vector<int>& fans, int taps, int half, double rate,
-                      double plane, double direction, const Array<double>& readings, double step, std::int64_t left) {
+py::tuple group_subtree(const py::array& trace, const Array<double>& centres, const Array<std::int64_t>& order,
+                        const Array<double>& medium, const std::vector<int>& fans, int taps, int half, double rate,
+                        double plane, double direction, const Array<double>& readings, double step, std::int64_t left) {
     static_assert(sizeof(Point) == 3 * sizeof(double) && sizeof(Reading) == 4 * sizeof(double),
                   "rows of arrays are read as these structs");
     Geometry survey{records<Trace>(trace, "trace"), nullptr, trace.size(), {}, 0, 0};
@@ -400,16 +400,16 @@ py::tuple plant_group(const py::array& trace, const Array<double>& centres, cons
     layout.taps.rate = rate;
     layout.taps.taps.count = taps;
     layout.taps.taps.half = half;
-    Subtree grown;
+    Subtree made;
     FlatLevels flat;
     {
         const Released gil;
         const Group group = make_group(Numbers(order.data(), order.data() + order.size()), places);
-        grown = plant(group, survey, places, layout, plane, direction, std::move(reads), step, left);
-        flat = flatten(grown.levels);
+        made = make_subtree(group, survey, places, layout, plane, direction, std::move(reads), step, left);
+        flat = flatten(made.levels);
     }
-    return py::make_tuple(array(grown.traces), array(flat.count), array(flat.place), array(flat.shape),
-                          array(flat.range), array(flat.span), grown.along);
+    return py::make_tuple(array(made.traces), array(flat.count), array(flat.place), array(flat.shape),
+                          array(flat.range), array(flat.span), made.along);
 }
 
 std::string isa_of(const std::string& name) { return kernels_for(name).name; }
@@ -469,8 +469,8 @@ PYBIND11_MODULE(_core, m) {
     m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a,
           "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
-    m.def("plant", &plant_group, "trace"_a, "centres"_a, "order"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a, "rate"_a,
-          "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
+    m.def("subtree", &group_subtree, "trace"_a, "centres"_a, "order"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
+          "rate"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
     m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "trace"_a, "model"_a, "kind"_a, "nodes"_a,
           "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "own"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a batch's terms to an image; returns how many.");

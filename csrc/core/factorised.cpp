@@ -204,9 +204,9 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
 }
 
 template <typename Pixel>
-void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Frame& frame, const Stack* stack,
+void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Raster& raster, const Stack* stack,
           const std::uint8_t* wanted, const View<Pixel, 2>& image, int threads, const Tick& tick) {
-    const Tiling tiling(frame);
+    const Tiling tiling(raster);
     run(
         tiling.count(), threads,
         [&](std::int64_t task) {
@@ -218,8 +218,8 @@ void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const 
             ReadJob job{&tree,
                         &from,
                         stack ? nullptr : lines,
-                        stack ? frame.points + 3 * (tile.top * frame.width + tile.left) : nullptr,
-                        frame.width,
+                        stack ? raster.points + 3 * (tile.top * raster.width + tile.left) : nullptr,
+                        raster.width,
                         stack,
                         active,
                         static_cast<int>(tile.bottom - tile.top),
@@ -240,9 +240,9 @@ void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const 
         tick);
 }
 
-template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const Stack*, const std::uint8_t*,
+template void read(const Kernels&, const Tree&, const SubImage&, const Raster&, const Stack*, const std::uint8_t*,
                    const View<std::complex<float>, 2>&, int, const Tick&);
-template void read(const Kernels&, const Tree&, const SubImage&, const Frame&, const Stack*, const std::uint8_t*,
+template void read(const Kernels&, const Tree&, const SubImage&, const Raster&, const Stack*, const std::uint8_t*,
                    const View<std::complex<double>, 2>&, int, const Tick&);
 
 }  // namespace pysas

@@ -32,10 +32,10 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
            const SubImage* images, std::int64_t n_image, bool add, bool last, bool smooth, int threads,
            const Tick& tick);
 
-// Add a sub-image to the tiles of an image for which `wanted` (in the order of rows of tiles) is not 0. The frame has
+// Add a sub-image to the tiles of an image for which `wanted` (in the order of rows of tiles) is not 0. The raster has
 // lines on the sub-image's plane, or points and a stack.
 template <typename Pixel>
-void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Frame& frame, const Stack* stack,
+void read(const Kernels& kernels, const Tree& tree, const SubImage& from, const Raster& raster, const Stack* stack,
           const std::uint8_t* wanted, const View<Pixel, 2>& image, int threads, const Tick& tick);
 
 }  // namespace pysas

@@ -38,20 +38,20 @@ struct Planter {
     double near;
 
     // Which tiles are read from a group's sub-image, and which are summed directly.
-    Fates fates(const Group& group, const Sheet& sheet, double step) const {
+    Fates fates(const Group& group, const Section& section, double step) const {
         const Model& model = geometry.model;
-        const std::size_t tiles = sheet.pixels.size();
+        const std::size_t tiles = section.pixels.size();
         // nodes that a read depends on lie this much further out or in, and to the sides
         const double taps = layout.taps.reach();
         const double reach = static_cast<double>(layout.fans.size() + 1) * (taps + 4) * step;
-        const double height = group.centre.z - sheet.plane;
+        const double height = group.centre.z - section.plane;
         const double least = std::max(slant_of(near_lengths * group.extent, height), layout.clear);
         Fates out{std::vector<std::uint8_t>(tiles), std::vector<std::uint8_t>(tiles)};
         for (std::size_t tile = 0; tile < tiles; ++tile) {
-            if (sheet.pixels[tile] == 0) continue;
+            if (section.pixels[tile] == 0) continue;
             Point middle;
             double radius = 0;
-            const Point* corner = &sheet.corners[4 * tile];
+            const Point* corner = &section.corners[4 * tile];
             for (int k = 0; k < 4; ++k) middle = middle + 0.25 * corner[k];
             for (int k = 0; k < 4; ++k) radius = std::max(radius, length(corner[k] - middle));
             const double ground = std::hypot(middle.x - group.centre.x, middle.y - group.centre.y);
@@ -120,32 +120,32 @@ Numbers chosen(const std::vector<std::uint8_t>& tiles) {
 
 }  // namespace
 
-std::optional<Sheet> sheet_of(const Frame& frame) {
-    Sheet out{frame.first[2], {}, {}};
-    for (std::int64_t i = 0; i < frame.height; ++i) {
-        if (frame.first[3 * i + 2] != out.plane || frame.step[3 * i + 2] != 0) return {};
+std::optional<Section> section_of(const Raster& raster) {
+    Section out{raster.first[2], {}, {}};
+    for (std::int64_t i = 0; i < raster.height; ++i) {
+        if (raster.first[3 * i + 2] != out.plane || raster.step[3 * i + 2] != 0) return {};
     }
-    const Tiling tiling(frame);
+    const Tiling tiling(raster);
     for (std::int64_t number = 0; number < tiling.count(); ++number) {
         const Tiling::Tile tile = tiling.at(number);
         std::int64_t pixels = 0;
         for (std::int64_t line = tile.top; line < tile.bottom; ++line) {
-            const std::uint8_t* mask = frame.mask ? frame.mask + line * frame.width : nullptr;
+            const std::uint8_t* mask = raster.mask ? raster.mask + line * raster.width : nullptr;
             pixels += mask ? (tile.right - tile.left) - std::count(mask + tile.left, mask + tile.right, 0)
                            : tile.right - tile.left;
         }
         out.pixels.push_back(pixels);
         for (const std::int64_t line : {tile.top, tile.bottom - 1}) {
             for (const std::int64_t pixel : {tile.left, tile.right - 1})
-                out.corners.push_back(point(frame.first + 3 * line) +
-                                      static_cast<double>(pixel) * point(frame.step + 3 * line));
+                out.corners.push_back(point(raster.first + 3 * line) +
+                                      static_cast<double>(pixel) * point(raster.step + 3 * line));
         }
     }
     return out;
 }
 
-std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& sheets, const Layout& layout,
-                           double near, double rate, std::int64_t most) {
+std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Section>& sections, const Layout& layout,
+                                  double near, double rate, std::int64_t most) {
     const Model& model = geometry.model;
     const auto centres = phase_centres(geometry);
     const Planter planter{geometry, layout, centres, near};
@@ -156,13 +156,13 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
     double highest = 1e-9;
     const double spacing = model.c / (4 * geometry.half_band() * layout.taps.rate);
     std::vector<Fates> fates;
-    for (const Sheet& sheet : sheets) {
+    for (const Section& section : sections) {
         for (const Group& group : groups) {
-            fates.push_back(planter.fates(group, sheet, spacing));
+            fates.push_back(planter.fates(group, section, spacing));
             const Numbers tiles = chosen(fates.back().read);
             if (tiles.empty()) continue;
             double direction = 0, far = 0, close = HUGE_VAL, left = HUGE_VAL, right = -HUGE_VAL;
-            for (const Reading& r : seen_from(group.centre, sheet.corners, tiles, direction)) {
+            for (const Reading& r : seen_from(group.centre, section.corners, tiles, direction)) {
                 left = std::min(left, r.bearing.low);
                 right = std::max(right, r.bearing.high);
                 close = std::min(close, r.distance.low);
@@ -170,7 +170,7 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
             }
             highest = std::max(
                 highest,
-                bands_of(group, geometry, sheet.plane, {direction + left, direction + right}, {close, far}).along);
+                bands_of(group, geometry, section.plane, {direction + left, direction + right}, {close, far}).along);
         }
     }
     // and as long as a table's intervals, of which there are a simple number to a sample
@@ -184,8 +184,8 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
     out.last.assign(count, 0);
     double through = 0, everything = 0, along = 0;
     std::int64_t room = most;
-    for (std::size_t s = 0; s < sheets.size(); ++s) {
-        const Sheet& sheet = sheets[s];
+    for (std::size_t s = 0; s < sections.size(); ++s) {
+        const Section& section = sections[s];
         for (std::size_t g = 0; g < groups.size(); ++g) {
             Fates& fate = fates[s * groups.size() + g];
             const Numbers tiles = chosen(fate.read), others = chosen(fate.direct);
@@ -193,14 +193,14 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
             GroupTree tree{s, groups[g].traces, std::move(fate.read), std::move(fate.direct), {}};
             double read = 0, direct = 0;
             for (const std::int64_t tile : tiles)
-                read += static_cast<double>(sheet.pixels[static_cast<std::size_t>(tile)]);
+                read += static_cast<double>(section.pixels[static_cast<std::size_t>(tile)]);
             for (const std::int64_t tile : others)
-                direct += static_cast<double>(sheet.pixels[static_cast<std::size_t>(tile)]);
+                direct += static_cast<double>(section.pixels[static_cast<std::size_t>(tile)]);
             if (!tiles.empty()) {
                 double direction = 0;
-                auto readings = seen_from(groups[g].centre, sheet.corners, tiles, direction);
-                Subtree below = plant(groups[g], geometry, centres, layout, sheet.plane, direction, std::move(readings),
-                                      out.step, room);
+                auto readings = seen_from(groups[g].centre, section.corners, tiles, direction);
+                Subtree below = make_subtree(groups[g], geometry, centres, layout, section.plane, direction,
+                                             std::move(readings), out.step, room);
                 if (below.levels.empty()) return {};
                 along = std::max(along, below.along);
                 tree.traces = std::move(below.traces);
@@ -219,7 +219,8 @@ std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& s
     simple_rate(model.c * layout.taps.rate * layout.spare * along / model.fs, phases, per_samples);
     if (phases == 0) return {};
     const double needed = static_cast<double>(phases) / per_samples;
-    if (needed * out.per_samples > out.phases * (1 + 1e-9)) return grow(geometry, sheets, layout, near, needed, most);
+    if (needed * out.per_samples > out.phases * (1 + 1e-9))
+        return make_forest(geometry, sections, layout, near, needed, most);
     out.share = through / everything;
     return out;
 }

@@ -1,5 +1,5 @@
 // A tree of sub-apertures for each of the longest groups of traces, the tiles of the image read from it, and those
-// summed directly. The same as pysas/imaging/factorised.py grows; choices are made by the caller (core/layouts.hpp).
+// summed directly. The same as pysas/imaging/factorised.py makes; choices are made by the caller (core/layouts.hpp).
 #pragma once
 
 #include <cstdint>
@@ -12,18 +12,18 @@
 namespace pysas {
 
 // Lines of an image that lie on one horizontal plane, as the tiles they are cut into.
-struct Sheet {
+struct Section {
     double plane;
     std::vector<Point> corners;  // 4 for each tile
     Numbers pixels;              // wanted, of each tile
 };
 
-// The sheet of a frame whose lines are straight; nothing if they do not lie on one horizontal plane.
-std::optional<Sheet> sheet_of(const Frame& frame);
+// The section of a raster whose lines are straight; nothing if they do not lie on one horizontal plane.
+std::optional<Section> section_of(const Raster& raster);
 
 // One of the longest groups. Tiles neither read nor summed directly hear nothing of it, or are not wanted.
 struct GroupTree {
-    std::size_t sheet;
+    std::size_t section;
     Numbers traces;
     std::vector<std::uint8_t> read, direct;  // tiles
     std::vector<Level> levels;               // leaves first; none where nothing is read
@@ -40,8 +40,8 @@ struct Forest {
 
 // Tiles are read from slant range `near` on; nodes are as far apart as intervals of tables at `rate` times the samples'
 // or more. Nothing if no tile can be read, or if trees would hold more than `most` floats.
-std::optional<Forest> grow(const Geometry& geometry, const std::vector<Sheet>& sheets, const Layout& layout,
-                           double near, double rate, std::int64_t most);
+std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Section>& sections, const Layout& layout,
+                                  double near, double rate, std::int64_t most);
 
 // Traces [begin, end) of a tree at a time, of leaves [first, last): about `most` traces, and whole parents where one
 // fits, since what is merged in parts is read and written again.

@@ -50,26 +50,26 @@ double tree_error(const TapDesign& taps, std::size_t stages) {
 // What costs depend on: some of the track and some of the image, seen from above.
 class Estimate {
   public:
-    Estimate(const Geometry& geometry, const Frame& frame, const char* isa) : geometry_(geometry), frame_(frame) {
+    Estimate(const Geometry& geometry, const Raster& raster, const char* isa) : geometry_(geometry), frame_(raster) {
         for (const Costs& set : costs) {
             if (std::strcmp(set.isa, isa) == 0) costs_ = set;
         }
-        pixels_ = static_cast<double>(frame.height) * static_cast<double>(frame.width);
-        if (frame.mask)
-            pixels_ -= static_cast<double>(std::count(frame.mask, frame.mask + frame.height * frame.width, 0));
+        pixels_ = static_cast<double>(raster.height) * static_cast<double>(raster.width);
+        if (raster.mask)
+            pixels_ -= static_cast<double>(std::count(raster.mask, raster.mask + raster.height * raster.width, 0));
         const std::int64_t apart = std::max<std::int64_t>(1, geometry.count / 256);
         for (std::int64_t i = apart; i < geometry.count; i += apart)
             path_ += length(above(place(i) - place(i - apart)));
         centre_ = place(geometry.count / 2);
-        line_ = length(point(frame.step)) * static_cast<double>(frame.width);
+        line_ = length(point(raster.step)) * static_cast<double>(raster.width);
         // about half a thousand places
-        for (const double row : spread(0, static_cast<double>(frame.height - 1), 24)) {
-            for (const double column : spread(0, static_cast<double>(frame.width - 1), 24))
+        for (const double row : spread(0, static_cast<double>(raster.height - 1), 24)) {
+            for (const double column : spread(0, static_cast<double>(raster.width - 1), 24))
                 places_.push_back(pixel(static_cast<std::int64_t>(row), column));
         }
-        rows_ = frame.height > 1 ? length(above(pixel(frame.height - 1, 0) - pixel(0, 0))) *
-                                       static_cast<double>(frame.height) / static_cast<double>(frame.height - 1)
-                                 : 0.01;
+        rows_ = raster.height > 1 ? length(above(pixel(raster.height - 1, 0) - pixel(0, 0))) *
+                                        static_cast<double>(raster.height) / static_cast<double>(raster.height - 1)
+                                  : 0.01;
     }
 
     // Candidates for the longest groups, m: fractions of the ground distances of the image, at most the track.
@@ -155,7 +155,7 @@ class Estimate {
     }
 
     const Geometry& geometry_;
-    const Frame& frame_;
+    const Raster& frame_;
     Costs costs_ = costs[0];
     double pixels_ = 0, path_ = 0, line_ = 0, rows_ = 0;
     Point centre_;
@@ -212,11 +212,11 @@ double hushed(double error, double band) {
 
 }  // namespace
 
-Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, double tol) {
+Layout cleared(const Geometry& geometry, const Raster& raster, Layout layout, double tol) {
     double height = 0, apart = 0, extent = layout.length;
     for (std::int64_t i = 0; i < geometry.count; ++i) {
         const Point tx = point(geometry.traces[i].tx), rx = point(geometry.traces[i].rx);
-        height = std::max(height, std::max(std::abs(tx.z - frame.first[2]), std::abs(rx.z - frame.first[2])));
+        height = std::max(height, std::max(std::abs(tx.z - raster.first[2]), std::abs(rx.z - raster.first[2])));
         apart = std::max(apart, length(tx - rx));
     }
     const double error = share_drift * share_leaves * tol;
@@ -233,8 +233,8 @@ Layout cleared(const Geometry& geometry, const Frame& frame, Layout layout, doub
     return layout;
 }
 
-std::optional<Layout> choose_layout(const Geometry& geometry, const Frame& frame, double tol, const char* isa) {
-    const Estimate estimate(geometry, frame, isa);
+std::optional<Layout> choose_layout(const Geometry& geometry, const Raster& raster, double tol, const char* isa) {
+    const Estimate estimate(geometry, raster, isa);
     const auto lengths = estimate.lengths();
     std::vector<TapDesign> designs;
     std::optional<Layout> best;

@@ -88,7 +88,7 @@ Plan::Plan(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     // of the carrier's phase, or of the place in a record whose band is wider than its carrier is high
     if (1e-14 * farthest_ * std::max(survey.fc, bandwidth) / survey.c > tol_)
         throw Error(Code::tolerance, "tol: out of reach of double over this range");
-    if (options.method == PYSAS_FFBP) plant(options.tol);
+    if (options.method == PYSAS_FFBP) factorise(options.tol);
     if (forest_) return;
     const Shares shares{0.1, 0.6};
     choose_delay(options.tol, shares, nearest_);
@@ -276,7 +276,8 @@ bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
 
 // The cheapest filter for tables of one of the rates; false where none keeps its share.
 bool Plan::choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates) {
-    // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of pysas/planning/bounds.py
+    // this far from a record's ends any short filter reads it as the low-pass W does: above GUARD of
+    // pysas/planning/bounds.py
     const auto away = static_cast<std::int64_t>(3.5 * std::pow(0.1 * tol, -0.4)) + 8;
     const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
     const double most = shares.interpolation * tol;
@@ -444,7 +445,7 @@ Terms<Real> Plan::terms() const {
 
 template Terms<float> Plan::terms() const;
 
-Frame Plan::lines() const {
+Raster Plan::lines() const {
     const bool straight = points_.empty();
     return {straight ? first_.data() : nullptr,
             straight ? along_.data() : nullptr,

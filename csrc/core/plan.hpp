@@ -1,5 +1,5 @@
-// A plan for callers without Python: the same bounds as pysas/planning/choices.py, whose choices are cheaper but not more
-// accurate. The tree of fast factorised back-projection is in plan_tree.cpp.
+// A plan for callers without Python: the same bounds as pysas/planning/choices.py, whose choices are cheaper but not
+// more accurate. The tree of fast factorised back-projection is in plan_tree.cpp.
 #pragma once
 
 #include <cstdint>
@@ -43,7 +43,7 @@ class Plan {
     void place(const pysas_survey& survey, const pysas_grid& grid);
     void bound(const double low[3], const double high[3]);
     void keep();
-    void plant(double tol);
+    void factorise(double tol);
     bool use(const Forest& forest, double tol);
     bool choose_delay(double tol, const Shares& shares, double nearest);
     bool choose_filter(double tol, const Shares& shares, const std::vector<std::pair<int, int>>& rates);
@@ -59,7 +59,7 @@ class Plan {
     void sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& to, double scale) const;
     template <typename Real>
     Terms<Real> terms() const;
-    Frame lines() const;
+    Raster lines() const;
     std::int64_t batch(std::size_t real) const;
     std::int64_t stride(std::size_t real) const;
 

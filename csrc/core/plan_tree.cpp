@@ -25,7 +25,7 @@ std::vector<SubImage> images_of(const Level& level, std::int64_t begin, std::int
 }
 
 // Sub-images of a tree: a batch of leaves, and one of each level above them.
-struct Climb {
+struct Merger {
     const Kernels& kernels;
     const Tree& tree;
     const std::vector<Level>& levels;
@@ -42,7 +42,7 @@ struct Climb {
 
     // Merge complete sub-images [begin, end) of a level into their parents, and parents that this completes into
     // theirs.
-    void rise(std::size_t below, std::int64_t begin, std::int64_t end) {
+    void merge_up(std::size_t below, std::int64_t begin, std::int64_t end) {
         const Level& above = levels[below + 1];
         for (const std::int64_t base = begin; begin < end;) {
             const auto at = std::upper_bound(above.span.begin(), above.span.end(), begin) - 1;
@@ -53,7 +53,7 @@ struct Climb {
             const std::int64_t span[] = {0, stop - begin};
             merge(kernels, tree, children.data(), span, image.data(), 1, begin > at[0], last, last && top, threads,
                   tick);
-            if (last && !top) rise(below + 1, parent, parent + 1);
+            if (last && !top) merge_up(below + 1, parent, parent + 1);
             begin = stop;
         }
     }
@@ -82,19 +82,19 @@ std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
 }  // namespace
 
 // Grow trees where they keep `tol`; otherwise the plan is left as it was, for the direct sum.
-void Plan::plant(double tol) {
+void Plan::factorise(double tol) {
     if (!narrow_ || !points_.empty() || traces_.empty() || tol < tree_tol * (1 - 1e-9)) return;
     // tiles count by the spheres about them, which reach nearer than their pixels
     if (!choose_delay(share_leaves * tol, tree_shares, 0.9 * nearest_)) return;
-    const Frame frame = lines();
-    const auto sheet = sheet_of(frame);
-    if (!sheet) return;
+    const Raster raster = lines();
+    const auto section = section_of(raster);
+    if (!section) return;
     std::vector<std::int64_t> pings(order_);
     for (auto& trace : pings) trace /= channels_;
     const double delay = kind_ == Kind::moving ? (nearest_ + farthest_) / model_.c : 0.0;
     const auto count = static_cast<std::int64_t>(traces_.size());
     const Geometry geometry{traces_.data(), pings.data(), count, model_, band_, delay};
-    auto layout = choose_layout(geometry, frame, tol, kernels_->name);
+    auto layout = choose_layout(geometry, raster, tol, kernels_->name);
     if (!layout) return;
     // a tree of more nodes than the sum has terms is no gain
     const double terms = static_cast<double>(count) * static_cast<double>(height_) * static_cast<double>(width_);
@@ -104,8 +104,8 @@ void Plan::plant(double tol) {
     for (const double rate : {1.0, 1.5}) {
         std::optional<Forest> forest;
         for (Layout cut = *layout; !forest && cut.length > layout->length / 8; cut.length *= 0.7) {
-            cut = cleared(geometry, frame, cut, tol);  // shorter groups see nearer pixels from afar
-            forest = grow(geometry, {*sheet}, cut, model_.near, rate, most);
+            cut = cleared(geometry, raster, cut, tol);  // shorter groups see nearer pixels from afar
+            forest = make_forest(geometry, {*section}, cut, model_.near, rate, most);
         }
         if (!forest) return;
         if (use(*forest, tol)) {
@@ -155,8 +155,8 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& t
     Terms<float> terms = this->terms<float>();
     std::vector<float> table(static_cast<std::size_t>(longest * terms.trace_stride));
     std::vector<Store> stores;
-    const Frame frame = lines();
-    const Tiling tiling(frame);
+    const Raster raster = lines();
+    const Tiling tiling(raster);
     for (const GroupTree& group : forest.trees) {
         std::vector<Trace> traces;
         std::vector<std::int64_t> order, start;
@@ -169,7 +169,7 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& t
             if (!weights_.empty()) weights.push_back(weights_[i]);
         }
         std::vector<std::uint8_t> pixels;  // those summed directly
-        Frame direct = frame;
+        Raster direct = raster;
         if (std::count(group.direct.begin(), group.direct.end(), 0) != tiling.count()) {
             pixels.assign(static_cast<std::size_t>(height_ * width_), 0);
             for (std::int64_t number = 0; number < tiling.count(); ++number) {
@@ -177,7 +177,7 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& t
                 const Tiling::Tile tile = tiling.at(number);
                 for (std::int64_t line = tile.top; line < tile.bottom; ++line) {
                     for (std::int64_t k = line * width_ + tile.left; k < line * width_ + tile.right; ++k)
-                        pixels[static_cast<std::size_t>(k)] = !frame.mask || frame.mask[k];
+                        pixels[static_cast<std::size_t>(k)] = !raster.mask || raster.mask[k];
                 }
             }
             direct.mask = pixels.data();
@@ -206,14 +206,14 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& t
             terms.n_trace = count;
             if (!group.levels.empty()) {
                 const Tick half = between(0.5, 0.5);
-                Climb climb{*kernels_, tree, group.levels, stores, threads_, half};
+                Merger merger{*kernels_, tree, group.levels, stores, threads_, half};
                 const Level& level = group.levels.front();
-                const auto leaf = images_of(level, b.first, b.last, b.first, climb.room(0, b.first, b.last));
+                const auto leaf = images_of(level, b.first, b.last, b.first, merger.room(0, b.first, b.last));
                 std::vector<std::int64_t> span(level.span.begin() + b.first, level.span.begin() + b.last + 1);
                 for (auto& number : span) number -= b.begin;
                 leaves(*kernels_, tree, terms, span.data(), leaf.data(), b.last - b.first, slack,
                        group.levels.size() == 1, threads_, between(0, 0.5));
-                if (group.levels.size() > 1) climb.rise(0, b.first, b.last);
+                if (group.levels.size() > 1) merger.merge_up(0, b.first, b.last);
             }
             if (!pixels.empty()) add(*kernels_, terms, direct, to, threads_, between(0.5, 1));
             // steps too short to tick by themselves still add up
@@ -223,7 +223,7 @@ void Plan::sum_forest(const View<const Sample, 3>& from, const View<Pixel, 2>& t
         if (group.levels.empty()) continue;
         const Level& top = group.levels.back();
         const auto image = images_of(top, 0, 1, 0, stores[group.levels.size() - 1]);
-        read(*kernels_, tree, image[0], frame, nullptr, group.read.data(), to, threads_,
+        read(*kernels_, tree, image[0], raster, nullptr, group.read.data(), to, threads_,
              [&](double) { return !progress_ || progress_(static_cast<double>(done) / static_cast<double>(whole)); });
     }
 }

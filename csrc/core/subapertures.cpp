@@ -147,7 +147,7 @@ struct Node {
     std::vector<Node> children;
 };
 
-struct Grower {
+struct Maker {
     const Geometry& geometry;
     const std::vector<Point>& centres;
     const Layout& layout;
@@ -223,7 +223,7 @@ struct Grower {
     }
 
     // A node for readings at bearings and slant ranges, and all below it; false where the tree grows too large.
-    bool grow(Node& node, Group group, std::vector<Reading> readings, std::size_t depth) const {
+    bool make(Node& node, Group group, std::vector<Reading> readings, std::size_t depth) const {
         node.group = std::move(group);
         const double infinite = std::numeric_limits<double>::infinity();
         Span bearing{infinite, -infinite}, slant{infinite, -infinite};
@@ -238,7 +238,7 @@ struct Grower {
             Group part = make_group(std::move(traces), centres);
             auto theirs = seen_by(node, part.centre);
             node.children.emplace_back();
-            if (!grow(node.children.back(), std::move(part), std::move(theirs), depth + 1)) return false;
+            if (!make(node.children.back(), std::move(part), std::move(theirs), depth + 1)) return false;
         }
         return true;
     }
@@ -472,17 +472,18 @@ FlatLevels flatten(const std::vector<Level>& levels) {
     return out;
 }
 
-Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Point>& centres, const Layout& layout,
-              double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left) {
+Subtree make_subtree(const Group& group, const Geometry& geometry, const std::vector<Point>& centres,
+                     const Layout& layout, double plane, double direction, std::vector<Reading> readings, double step,
+                     std::int64_t& left) {
     const double height = group.centre.z - plane;
     for (Reading& r : readings) r.distance = {slant_of(r.distance.low, height), slant_of(r.distance.high, height)};
     Subtree out;
-    const Grower grower{geometry, centres, layout, plane, direction, step, left, out.along};
+    const Maker maker{geometry, centres, layout, plane, direction, step, left, out.along};
     Node root;
-    if (!grower.grow(root, group, std::move(readings), 0)) return out;
+    if (!maker.make(root, group, std::move(readings), 0)) return out;
     std::vector<const Node*> nodes{&root};
     while (true) {
-        out.levels.push_back(grower.level(nodes));
+        out.levels.push_back(maker.level(nodes));
         if (nodes.front()->children.empty()) break;
         std::vector<const Node*> below;
         for (const Node* node : nodes) {

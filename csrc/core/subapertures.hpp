@@ -14,7 +14,7 @@ namespace pysas {
 constexpr double near_lengths = 1.15;  // a group's centre stays this many lengths away from what is read from it
 constexpr double widest_beam = 0.1;    // between rays at most, rad
 
-// What trees are grown from: traces about the scene's centre, the ping each is of, and the record. `delay`: about what
+// What trees are made from: traces about the scene's centre, the ping each is of, and the record. `delay`: about what
 // passes until an echo arrives, where receivers move, else 0.
 struct Geometry {
     const Trace* traces;
@@ -123,7 +123,8 @@ FlatLevels flatten(const std::vector<Level>& levels);
 
 // The tree below a group for what is read from it at bearings from `direction` and ground distances, nodes `step`
 // apart; no levels if it would hold more than the floats `left`.
-Subtree plant(const Group& group, const Geometry& geometry, const std::vector<Point>& centres, const Layout& layout,
-              double plane, double direction, std::vector<Reading> readings, double step, std::int64_t& left);
+Subtree make_subtree(const Group& group, const Geometry& geometry, const std::vector<Point>& centres,
+                     const Layout& layout, double plane, double direction, std::vector<Reading> readings, double step,
+                     std::int64_t& left);
 
 }  // namespace pysas

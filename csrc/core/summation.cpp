@@ -118,36 +118,36 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
 }
 
 template <typename Real, typename Pixel>
-std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& frame, const View<Pixel, 2>& image,
+std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image,
                  int threads, const Tick& tick) {
-    const bool straight = frame.first != nullptr;
-    const std::int64_t rows = straight ? tile_rows : 1, columns = straight ? frame.count : tile_rows * frame.count;
-    const std::int64_t down = (frame.height + rows - 1) / rows, across = (frame.width + columns - 1) / columns;
+    const bool straight = raster.first != nullptr;
+    const std::int64_t rows = straight ? tile_rows : 1, columns = straight ? raster.count : tile_rows * raster.count;
+    const std::int64_t down = (raster.height + rows - 1) / rows, across = (raster.width + columns - 1) / columns;
     std::vector<std::int64_t> counted(static_cast<std::size_t>(down * across));
     run(
         down * across, threads,
         [&](std::int64_t task) {
             const std::int64_t top = task / across * rows, left = task % across * columns;
-            const std::int64_t bottom = std::min(top + rows, frame.height),
-                               right = std::min(left + columns, frame.width);
+            const std::int64_t bottom = std::min(top + rows, raster.height),
+                               right = std::min(left + columns, raster.width);
             const std::int64_t pixels = (bottom - top) * (right - left);
             alignas(64) Real re[tile_rows * block], im[tile_rows * block];
             double lines[tile_rows * 6];
             std::vector<double> tail;
             std::uint8_t active[tile_rows];
-            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, frame.count, re, im, 0, nullptr};
+            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, raster.count, re, im, 0, nullptr};
             TileWeights<Real> weights;
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
                 job.count = static_cast<int>(right - left);  // a block never runs on behind the image: tables end there
-                Tiling(frame).lines({top, bottom, left, right}, lines);
+                Tiling(raster).lines({top, bottom, left, right}, lines);
                 job.lines = lines;
             } else {
-                job.rows = static_cast<int>((pixels + frame.count - 1) / frame.count);
-                job.points = frame.points + 3 * left;
-                if (job.rows * frame.count != pixels) {  // the last tile: repeat its last point
+                job.rows = static_cast<int>((pixels + raster.count - 1) / raster.count);
+                job.points = raster.points + 3 * left;
+                if (job.rows * raster.count != pixels) {  // the last tile: repeat its last point
                     tail.assign(job.points, job.points + 3 * pixels);
-                    while (static_cast<std::int64_t>(tail.size()) < 3 * job.rows * frame.count) {
+                    while (static_cast<std::int64_t>(tail.size()) < 3 * job.rows * raster.count) {
                         for (int axis = 0; axis < 3; ++axis)
                             tail.push_back(tail[static_cast<std::size_t>(3 * (pixels - 1) + axis)]);
                     }
@@ -157,13 +157,13 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& 
             bool any = false;
             const auto row_of = [&](std::int64_t r, std::int64_t& line, std::int64_t& begin, std::int64_t& end) {
                 line = straight ? top + r : 0;
-                begin = straight ? left : left + r * frame.count;
-                end = std::min(begin + frame.count, right);
+                begin = straight ? left : left + r * raster.count;
+                end = std::min(begin + raster.count, right);
             };
             for (int r = 0; r < job.rows; ++r) {
                 std::int64_t line, begin, end;
                 row_of(r, line, begin, end);
-                active[r] = Tiling(frame).any(line, begin, end);
+                active[r] = Tiling(raster).any(line, begin, end);
                 any = any || active[r];
             }
             if (!any) return;
@@ -271,9 +271,10 @@ using Double = std::complex<double>;
 template void prepare(const Kernels&, const Batch<Single>&, const Filter&, float*, std::int64_t, int, const Tick&);
 template void prepare(const Kernels&, const Batch<Double>&, const Filter&, float*, std::int64_t, int, const Tick&);
 template void prepare(const Kernels&, const Batch<Double>&, const Filter&, double*, std::int64_t, int, const Tick&);
-template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Single, 2>&, int, const Tick&);
-template std::int64_t add(const Kernels&, const Terms<float>&, const Frame&, const View<Double, 2>&, int, const Tick&);
-template std::int64_t add(const Kernels&, const Terms<double>&, const Frame&, const View<Double, 2>&, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<float>&, const Raster&, const View<Single, 2>&, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<float>&, const Raster&, const View<Double, 2>&, int, const Tick&);
+template std::int64_t add(const Kernels&, const Terms<double>&, const Raster&, const View<Double, 2>&, int,
+                          const Tick&);
 template void peaks(const View<const Single, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
 template void peaks(const View<const Double, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
 template void mean_squares(const View<const Single, 3>&, const Places&, double, double*, int, const Tick&);

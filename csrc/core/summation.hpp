@@ -37,7 +37,7 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
              int threads, const Tick& tick);
 
 // The image seen as lines of pixels: straight and evenly spaced, or a list of points (one line).
-struct Frame {
+struct Raster {
     const double* first;       // (height, 3) first pixels of the lines, or null
     const double* step;        // (height, 3)
     const double* points;      // (width, 3) where there are no lines
@@ -46,42 +46,42 @@ struct Frame {
     int count;  // pixels of a block
 };
 
-// How the lines of a frame are cut into tiles of `tile_rows` lines and `count` pixels.
+// How the lines of a raster are cut into tiles of `tile_rows` lines and `count` pixels.
 struct Tiling {
     struct Tile {
         std::int64_t top, bottom, left, right;
     };
 
-    explicit Tiling(const Frame& frame) : frame(frame), across((frame.width + frame.count - 1) / frame.count) {}
-    std::int64_t count() const { return (frame.height + tile_rows - 1) / tile_rows * across; }
+    explicit Tiling(const Raster& raster) : raster(raster), across((raster.width + raster.count - 1) / raster.count) {}
+    std::int64_t count() const { return (raster.height + tile_rows - 1) / tile_rows * across; }
     Tile at(std::int64_t number) const {
-        const std::int64_t top = number / across * tile_rows, left = number % across * frame.count;
-        return {top, std::min<std::int64_t>(top + tile_rows, frame.height), left,
-                std::min<std::int64_t>(left + frame.count, frame.width)};
+        const std::int64_t top = number / across * tile_rows, left = number % across * raster.count;
+        return {top, std::min<std::int64_t>(top + tile_rows, raster.height), left,
+                std::min<std::int64_t>(left + raster.count, raster.width)};
     }
     // First pixel and step of each line of a tile, (rows, 6).
     void lines(const Tile& tile, double* out) const {
         for (std::int64_t r = 0; r < tile.bottom - tile.top; ++r) {
             for (std::int64_t axis = 0; axis < 3; ++axis) {
-                const double step = frame.step[3 * (tile.top + r) + axis];
-                out[6 * r + axis] = frame.first[3 * (tile.top + r) + axis] + static_cast<double>(tile.left) * step;
+                const double step = raster.step[3 * (tile.top + r) + axis];
+                out[6 * r + axis] = raster.first[3 * (tile.top + r) + axis] + static_cast<double>(tile.left) * step;
                 out[6 * r + 3 + axis] = step;
             }
         }
     }
     // Whether any pixel of a piece of a line is wanted.
     bool any(std::int64_t line, std::int64_t begin, std::int64_t end) const {
-        const std::uint8_t* wanted = frame.mask ? frame.mask + line * frame.width : nullptr;
+        const std::uint8_t* wanted = raster.mask ? raster.mask + line * raster.width : nullptr;
         return !wanted || std::any_of(wanted + begin, wanted + end, [](std::uint8_t m) { return m != 0; });
     }
 
-    const Frame& frame;
+    const Raster& raster;
     std::int64_t across;
 };
 
 // Add a batch's terms to `image` (line, pixel); returns how many there were.
 template <typename Real, typename Pixel>
-std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Frame& frame, const View<Pixel, 2>& image,
+std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image,
                  int threads, const Tick& tick);
 
 // Largest |real| or |imaginary| part of samples begin to end - 1, which are in the record, of each trace, (ping,

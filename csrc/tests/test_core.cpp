@@ -220,10 +220,10 @@ void a_constant_goes_through_the_tree() {
             for (const double v : {0.02, 0.0, 0.0}) along.push_back(v);
         }
         std::vector<std::complex<float>> image(40 * 100);
-        const Frame frame{begin.data(), along.data(), nullptr, nullptr, 40, 100, 50};
+        const Raster raster{begin.data(), along.data(), nullptr, nullptr, 40, 100, 50};
         const std::vector<std::uint8_t> wanted(4, 1);
         const View<std::complex<float>, 2> to{image.data(), {40, 100}, {100, 1}};
-        read(kernels, tree, top[0], frame, nullptr, wanted.data(), to, 2, {});
+        read(kernels, tree, top[0], raster, nullptr, wanted.data(), to, 2, {});
         double worst = 0;
         for (int r = 0; r < 40; ++r) {
             for (int m = 0; m < 100; ++m) {
@@ -358,21 +358,21 @@ void a_forest_holds_every_trace_and_serves_every_read() {
     }
     std::vector<std::uint8_t> mask(height * width, 1);
     std::fill_n(mask.begin(), 32 * width, std::uint8_t{0});
-    const Frame frame{first.data(), step.data(), nullptr, mask.data(), height, width, 64};
-    const auto sheet = sheet_of(frame);
-    CHECK(sheet && sheet->pixels.size() == 10 && sheet->pixels[0] == 0 && sheet->pixels[9] == 2 * 36);
-    if (!sheet) return;
-    auto layout = choose_layout(geometry, frame, 1e-3, "baseline");
+    const Raster raster{first.data(), step.data(), nullptr, mask.data(), height, width, 64};
+    const auto section = section_of(raster);
+    CHECK(section && section->pixels.size() == 10 && section->pixels[0] == 0 && section->pixels[9] == 2 * 36);
+    if (!section) return;
+    auto layout = choose_layout(geometry, raster, 1e-3, "baseline");
     CHECK(layout && layout->length > 0 && layout->taps.worst < 1e-3);
     if (!layout) return;
-    layout = cleared(geometry, frame, *layout, 1e-3);
-    CHECK(layout->clear > 5 && layout->clear < 20 && cleared(geometry, frame, *layout, 1e-5).clear > layout->clear);
+    layout = cleared(geometry, raster, *layout, 1e-3);
+    CHECK(layout->clear > 5 && layout->clear < 20 && cleared(geometry, raster, *layout, 1e-5).clear > layout->clear);
     for (const std::vector<int>& fans : {layout->fans, {}, {2}, {4, 2}, {4, 4, 2}}) {
         Layout cut = *layout;
         cut.fans = fans;
         cut.length = 3;
-        CHECK(!grow(geometry, {*sheet}, cut, 1, 1, 1000));  // too large for so little memory
-        const auto forest = grow(geometry, {*sheet}, cut, 1, 1, std::int64_t{1} << 30);
+        CHECK(!make_forest(geometry, {*section}, cut, 1, 1, 1000));  // too large for so little memory
+        const auto forest = make_forest(geometry, {*section}, cut, 1, 1, std::int64_t{1} << 30);
         CHECK(forest && forest->share == 1 && forest->trees.size() > 1);
         if (!forest) continue;
         // at least as dense as the echoes' own band asks, as dense as tables' intervals
@@ -394,9 +394,9 @@ void a_forest_holds_every_trace_and_serves_every_read() {
             const Level& top = tree.levels.back();
             CHECK(top.count() == 1);
             bool all = true;
-            const Tiling tiling(frame);
+            const Tiling tiling(raster);
             for (std::int64_t number = 0; number < tiling.count(); ++number) {
-                const bool wanted = sheet->pixels[static_cast<std::size_t>(number)] > 0;
+                const bool wanted = section->pixels[static_cast<std::size_t>(number)] > 0;
                 CHECK(tree.read[static_cast<std::size_t>(number)] == wanted);
                 const Tiling::Tile tile = tiling.at(number);
                 for (std::int64_t line = tile.top; wanted && line < tile.bottom; ++line) {

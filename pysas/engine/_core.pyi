@@ -199,7 +199,7 @@ def read(
 ) -> None:
     """Add a sub-image to the `wanted` tiles of `image` (line, pixel): lines on its plane, or points near it."""
 
-def plant(
+def subtree(
     trace: Records,
     centres: npt.NDArray[np.float64],
     order: npt.NDArray[np.int64],

@@ -135,8 +135,8 @@ class Reader:
         return self.filter.rate * (2 if self.cut is not None else 1)
 
 
-class Frame(Protocol):
-    """The image as lines of pixels; see frames.Frame."""
+class Raster(Protocol):
+    """The image as lines of pixels; see raster.Raster."""
 
     straight: bool
     first: FloatArray
@@ -192,7 +192,7 @@ def accumulate(
     survey: Survey,
     reader: Reader,
     scale: float,
-    frame: Frame,
+    raster: Raster,
     trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
     real: npt.DTypeLike,
     batch: int,
@@ -218,8 +218,8 @@ def accumulate(
         fill(traces, part, some.start, some.weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
-        width = frame.shape[1]
-        slabs = [(0, width)] if frame.straight else [(lo, min(lo + SLAB, width)) for lo in range(0, width, SLAB)]
+        width = raster.shape[1]
+        slabs = [(0, width)] if raster.straight else [(lo, min(lo + SLAB, width)) for lo in range(0, width, SLAB)]
         for number, (lo, hi) in enumerate(slabs):
             done, more = (begin + part.size * number / len(slabs)) / len(order), part.size / len(slabs) / len(order)
             tick = None
@@ -230,11 +230,11 @@ def accumulate(
                 ) -> None:
                     report(done + more * share)
 
-            points = None if frame.straight else frame.points(lo, hi)
-            mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[:, lo:hi])
+            points = None if raster.straight else raster.points(lo, hi)
+            mask = None if raster.mask is None else np.ascontiguousarray(raster.mask[:, lo:hi])
             terms += engine.add(
                 rows, filter.degree, trigonometry[0], trigonometry[1], some.trace, survey.model, survey.kind, at, fit,
-                frame.first if frame.straight else None, frame.step if frame.straight else None, points, mask, frame.count,
+                raster.first if raster.straight else None, raster.step if raster.straight else None, points, mask, raster.count,
                 some.lattice, None if some.own is None else some.own[lo:], image[:, lo:hi], threads, isa, tick,
             )  # fmt: skip
         summed += time.perf_counter() - now

@@ -206,7 +206,7 @@ class Interpreted:
         taps = self.setting.taps
         rays = int(parent.shape[0, 1])
 
-        def climb(task: int) -> None:
+        def merge_rays(task: int) -> None:
             pool.call(
                 _numba_tree.merge,
                 parent.place[0], parent.shape[0], parent.range, store, task * RAYS, min((task + 1) * RAYS, rays),
@@ -214,7 +214,7 @@ class Interpreted:
                 self.turns[1], add, top,
             )  # fmt: skip
 
-        self._run(climb, -(-rays // RAYS), None)
+        self._run(merge_rays, -(-rays // RAYS), None)
         if last:
             self._smooth_across(parent, store)
 

@@ -23,7 +23,7 @@ from pysas.imaging.plans import Plan
 from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 from pysas.planning import bounds, view_angles
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 
 
 @_checks.usual_errors
@@ -66,10 +66,10 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     totals = Totals(0.0, 0.0, 0)
     isa = engine.isa(plan.backend)
     if order.size:
-        frame, reader = plan.frame, plan.reader
+        raster, reader = plan.raster, plan.reader
         trigonometry = bounds.trigonometry(choices.trigonometry)[0]
-        flat = None if plan.wide else _as_lines(image, frame.shape)
-        target = np.zeros(frame.shape, dtype=np.complex128 if plan.wide else plan.dtype) if flat is None else flat
+        flat = None if plan.wide else _as_lines(image, raster.shape)
+        target = np.zeros(raster.shape, dtype=np.complex128 if plan.wide else plan.dtype) if flat is None else flat
         real = np.dtype(choices.precision)
         if plan.forest is not None:
             totals = factorised.accumulate(
@@ -78,20 +78,20 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
             )  # fmt: skip
         else:
 
-            def add(frame: Frame, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
+            def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
                 if isinstance(reader, native.Reader):
                     return native.accumulate(
-                        samples, order, survey, reader, scale, frame, trigonometry, real, choices.batch, target,
+                        samples, order, survey, reader, scale, raster, trigonometry, real, choices.batch, target,
                         plan.threads, isa, tick,
                     )  # fmt: skip
                 return summation.accumulate(
-                    samples, order, survey, reader, scale, frame.tiles(), frame.locate, frame.straight, frame.count,
+                    samples, order, survey, reader, scale, raster.tiles(), raster.locate, raster.straight, raster.count,
                     trigonometry, real, choices.batch, target, plan.threads, tick,
                 )  # fmt: skip
 
             survey = _survey(plan, order)
             totals = (
-                _add_each(plan, order, survey, target, add, progress) if scene.each else add(frame, survey, target, progress)
+                _add_each(plan, order, survey, target, add, progress) if scene.each else add(raster, survey, target, progress)
             )
         target = target.astype(plan.dtype, copy=False)
         if real == np.float32 and amplitudes.wide(exponents):
@@ -133,7 +133,7 @@ def _add_each(
     order: npt.NDArray[np.int64],
     survey: Survey,
     target: ComplexArray,
-    add: Callable[[Frame, Survey, ComplexArray, Callable[[float], None] | None], Totals],
+    add: Callable[[Raster, Survey, ComplexArray, Callable[[float], None] | None], Totals],
     progress: Callable[[float], None] | None,
 ) -> Totals:
     """`add` pixels with their own weights of traces `order`, so many at a time as these have room for."""
@@ -143,13 +143,13 @@ def _add_each(
     totals = Totals(0.0, 0.0, 0)
     for begin in range(0, wanted.size, at_once):
         pixels = wanted[begin : begin + at_once]
-        frame = Frame(Grid.points(grid.coordinates(pixels)), scene, 0)
+        raster = Raster(Grid.points(grid.coordinates(pixels)), scene, 0)
         clock = time.perf_counter()
-        own = np.zeros((-(-pixels.size // frame.count) * frame.count, order.size), dtype=real)  # rows of whole blocks
-        view_angles.fill(scene, frame.points(0, pixels.size), order, own, plan.threads, plan.backend)
+        own = np.zeros((-(-pixels.size // raster.count) * raster.count, order.size), dtype=real)  # rows of whole blocks
+        view_angles.fill(scene, raster.points(0, pixels.size), order, own, plan.threads, plan.backend)
         weighed = time.perf_counter() - clock
         part = np.zeros((1, pixels.size), dtype=target.dtype)
-        some = add(frame, replace(survey, own=own), part, _partly(progress, begin / wanted.size, pixels.size / wanted.size))
+        some = add(raster, replace(survey, own=own), part, _partly(progress, begin / wanted.size, pixels.size / wanted.size))
         target[0, pixels] = part[0]
         prepared, summed = totals.prepare_seconds + some.prepare_seconds, totals.sum_seconds + weighed + some.sum_seconds
         totals = Totals(prepared, summed, totals.terms + some.terms)

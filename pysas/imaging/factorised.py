@@ -20,8 +20,8 @@ from pysas.engine.summation import Totals
 from pysas.engine.tree import SubImages
 from pysas.imaging.plans import Plan
 from pysas.planning.forest import batches
-from pysas.planning.frames import Frame
-from pysas.planning.tiles import TILE_ROWS, Sheet, pixels_of
+from pysas.planning.raster import Raster
+from pysas.planning.tiles import TILE_ROWS, Section, pixels_of
 
 
 def accumulate(
@@ -33,12 +33,12 @@ def accumulate(
     forest, choices, threads = plan.forest, plan.choices, plan.threads
     if forest is None:
         raise InternalError("a plan without trees was to be summed through them")
-    frame, scene = forest.frame, forest.scene
+    raster, scene = forest.raster, forest.scene
     traces = samples if samples.ndim == 3 else samples[:, None, :]
     stores: dict[int, Any] = {}
     prepared = summed = 0.0
     terms = 0
-    trees = [(sheet, t) for sheet in forest.sheets for t in sheet.trees]
+    trees = [(section, t) for section in forest.sections for t in section.trees]
     whole = sum(len(t.order) for _, t in trees)
     longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
     setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, threads, isa)
@@ -70,10 +70,11 @@ def accumulate(
                 rise(levels, below + 1, parent, parent + 1)
             begin = stop
 
-    for sheet, t in trees:
-        part_of = image[sheet.begin : sheet.end]
-        lines = (frame.first[sheet.begin : sheet.end], frame.step[sheet.begin : sheet.end]) if frame.straight else None
-        direct = pixels_of(t.direct, sheet, frame.count) if t.direct.any() else None
+    for section, t in trees:
+        own = slice(section.begin, section.end)
+        part_of = image[own]
+        lines = (raster.first[own], raster.step[own]) if raster.straight else None
+        direct = pixels_of(t.direct, section, raster.count) if t.direct.any() else None
         survey = survey_of(t.order)
         kept = used[t.order]
         if not kept.all():
@@ -97,11 +98,11 @@ def accumulate(
                     rise(levels, 0, leaf0, leaf1)
             if direct is not None:
                 if lines is not None:
-                    terms += engine.direct(batch, lines, None, direct, frame.count, part_of, tick)
-                for row, last in () if lines is not None else _bands(sheet, direct):
-                    points = _points(frame, sheet, row, last).reshape(1, -1, 3)
+                    terms += engine.direct(batch, lines, None, direct, raster.count, part_of, tick)
+                for row, last in () if lines is not None else _bands(section, direct):
+                    points = _points(raster, section, row, last).reshape(1, -1, 3)
                     some = np.zeros((1, points.shape[1]), dtype=part_of.dtype)
-                    terms += engine.direct(batch, None, points, direct[row:last].reshape(1, -1), frame.count, some, tick)
+                    terms += engine.direct(batch, None, points, direct[row:last].reshape(1, -1), raster.count, some, tick)
                     part_of[row:last] += some.reshape(last - row, -1)
             summed += time.perf_counter() - now
         done += len(t.order)
@@ -110,33 +111,33 @@ def accumulate(
         now = time.perf_counter()
         levels = t.subtree.levels
         top = levels[-1]
-        if sheet.flat and lines is not None:
-            engine.read(top, stores[len(levels) - 1], lines, None, None, sheet.mask, frame.count, t.read, part_of)
+        if section.flat and lines is not None:
+            engine.read(top, stores[len(levels) - 1], lines, None, None, section.mask, raster.count, t.read, part_of)
         else:
-            stack = Stack(t.group.axis, sheet.planes, sheet.number)
-            tiles = t.read.reshape(-1, -(-sheet.width // frame.count))
-            for row, last in _bands(sheet, pixels_of(t.read, sheet, frame.count)):
-                part = None if sheet.mask is None else sheet.mask[row:last]
-                points, here = _points(frame, sheet, row, last), tiles[row // TILE_ROWS]
-                engine.read(top, stores[len(levels) - 1], None, points, stack, part, frame.count, here, part_of[row:last])
-        terms += 0 if sheet.number else int(np.count_nonzero(kept)) * int(sheet.pixels[t.read].sum())
+            stack = Stack(t.group.axis, section.planes, section.number)
+            tiles = t.read.reshape(-1, -(-section.width // raster.count))
+            for row, last in _bands(section, pixels_of(t.read, section, raster.count)):
+                part = None if section.mask is None else section.mask[row:last]
+                points, here = _points(raster, section, row, last), tiles[row // TILE_ROWS]
+                engine.read(top, stores[len(levels) - 1], None, points, stack, part, raster.count, here, part_of[row:last])
+        terms += 0 if section.number else int(np.count_nonzero(kept)) * int(section.pixels[t.read].sum())
         summed += time.perf_counter() - now
         if progress is not None:
             progress(done / whole)
     return Totals(prepared, summed, terms)
 
 
-def _bands(sheet: Sheet, pixels: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _bands(section: Section, pixels: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Rows of tiles, as lines [begin, end), that have any of the pixels."""
-    height = sheet.end - sheet.begin
+    height = section.end - section.begin
     rows = [(top, min(top + TILE_ROWS, height)) for top in range(0, height, TILE_ROWS)]
     return [(top, bottom) for top, bottom in rows if pixels[top:bottom].any()]
 
 
-def _points(frame: Frame, sheet: Sheet, top: int, bottom: int) -> FloatArray:
-    """Pixels (line, pixel, 3) of some of a sheet's lines."""
-    first, last = sheet.begin + top, sheet.begin + bottom
-    if frame.straight:
-        along = np.arange(sheet.width)[None, :, None] * frame.step[first:last, None]
-        return np.ascontiguousarray(frame.first[first:last, None] + along)
-    return frame.points(first * sheet.width, last * sheet.width).reshape(bottom - top, sheet.width, 3)
+def _points(raster: Raster, section: Section, top: int, bottom: int) -> FloatArray:
+    """Pixels (line, pixel, 3) of some of a section's lines."""
+    first, last = section.begin + top, section.begin + bottom
+    if raster.straight:
+        along = np.arange(section.width)[None, :, None] * raster.step[first:last, None]
+        return np.ascontiguousarray(raster.first[first:last, None] + along)
+    return raster.points(first * section.width, last * section.width).reshape(bottom - top, section.width, 3)

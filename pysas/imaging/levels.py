@@ -29,7 +29,7 @@ from pysas.engine import MONOSTATIC, native, preparation, summation
 from pysas.imaging.plans import Plan, Terms
 from pysas.planning import bounds
 from pysas.planning.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 from pysas.planning.scene import distances
 from pysas.planning.settings import Choices, reader_of
 
@@ -339,7 +339,7 @@ def _direct(plan: Plan) -> Plan:
         found.reader = reader_of(choices, plan.scene.band)
         found.forest = None
         found.why_direct = "samples beside those that pixels read are too bright for trees"
-        found.frame = Frame(plan.grid, plan.scene, choices.block)
+        found.raster = Raster(plan.grid, plan.scene, choices.block)
         plan.others["direct"] = found
     return found
 

@@ -32,11 +32,11 @@ from pysas.planning.choices import (
     even_split,
 )
 from pysas.planning.costs import forest_seconds, prepare_seconds, sum_seconds
-from pysas.planning.forest import Forest, Layout, grow, prospect
-from pysas.planning.frames import Frame
+from pysas.planning.forest import Forest, Layout, make_forest, served
+from pysas.planning.raster import Raster
 from pysas.planning.scene import Scene
 from pysas.planning.settings import Choices
-from pysas.planning.tiles import Sheet, sheets
+from pysas.planning.tiles import Section, sections
 
 METHODS = ("auto", "backprojection", "ffbp")
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
@@ -165,7 +165,7 @@ def _plan(
     if method != "backprojection":
         auto = method == "auto"
         try:
-            forest, why = _plant(scene, grid, left, choices, name, fallback or auto, count, auto)
+            forest, why = _trees(scene, grid, left, choices, name, fallback or auto, count, auto)
         except _checks.InternalError as error:  # no fault of the scene: there is always the direct sum
             if not (fallback or auto):
                 raise
@@ -189,13 +189,12 @@ def other_engine(plan: Plan) -> str:
         seconds = _direct_seconds(scene, choices, plan.backend)
         return f"backprojection: {seconds / plan.threads:.2g} s predicted"
     try:
-        site, why = _site(scene, plan.grid, left, plan.backend, sum_seconds(scene, plan.choices, plan.backend))
+        candidate, why = _candidate(scene, plan.grid, left, plan.backend, sum_seconds(scene, plan.choices, plan.backend))
     except _checks.InternalError as error:
-        site, why = None, f"no trees: {error}"
-    if site is not None:
-        seconds = (site.seconds + prepare_seconds(scene, plan.choices)) / plan.threads + site.trees * costs.TREE_SECONDS[
-            plan.backend
-        ]
+        candidate, why = None, f"no trees: {error}"
+    if candidate is not None:
+        shared = candidate.seconds + prepare_seconds(scene, plan.choices)
+        seconds = shared / plan.threads + candidate.trees * costs.TREE_SECONDS[plan.backend]
         why = f"{seconds:.2g} s predicted"
     return f"ffbp: {why}"
 
@@ -245,11 +244,11 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
 
 
 @dataclass(frozen=True)
-class _Site:
-    """Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is grown."""
+class _Candidate:
+    """Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is made."""
 
-    frame: Frame
-    image: list[Sheet]
+    raster: Raster
+    image: list[Section]
     layout: Layout
     near: float
     share: float
@@ -259,7 +258,7 @@ class _Site:
     trees: int
 
 
-def _plant(
+def _trees(
     scene: Scene, grid: Grid, tol: float, choices: Choices, backend: str, fallback: bool, threads: int, auto: bool
 ) -> tuple[Forest | None, str]:
     """A tree for each of the longest groups, or None and why all is summed directly, as `choices` say; an error where that is
@@ -270,15 +269,15 @@ def _plant(
     direct = sum_seconds(scene, choices, backend)
     most = _direct_seconds(scene, choices, backend) if fallback else math.inf
     forest = None
-    growing = threads * costs.GROW_SECONDS[backend] if auto else 0.0
-    if most <= 3 * growing:  # looking for a layout alone takes about as long
+    planning = threads * costs.PLAN_SECONDS[backend] if auto else 0.0
+    if most <= 3 * planning:  # looking for a layout alone takes about as long
         return None, LONGER
-    site, why = _site(scene, grid, tol, backend, direct, most - growing)
+    candidate, why = _candidate(scene, grid, tol, backend, direct, most - planning)
     alone = threads * costs.TREE_SECONDS[backend]
-    if site is not None and site.seconds + alone * site.trees > most - growing:
+    if candidate is not None and candidate.seconds + alone * candidate.trees > most - planning:
         return None, LONGER
-    if site is not None:
-        forest, why = _grow(scene, site, tol, backend, not fallback, (most - growing) / max(alone, 1e-9))
+    if candidate is not None:
+        forest, why = _make_forest(scene, candidate, tol, backend, not fallback, (most - planning) / max(alone, 1e-9))
     if forest is not None:
         forest.seconds += alone * len(forest.trees)
         if forest.seconds > most:
@@ -295,9 +294,9 @@ def _direct_seconds(scene: Scene, choices: Choices, backend: str) -> float:
     return sum_seconds(scene, choices, backend) + prepare_seconds(scene, choices)
 
 
-def _site(
+def _candidate(
     scene: Scene, grid: Grid, tol: float, backend: str, direct: float, most: float = math.inf
-) -> tuple[_Site | None, str]:  # fmt: skip
+) -> tuple[_Candidate | None, str]:  # fmt: skip
     """The cheapest layout that keeps tol, or why there is none within `most` s.
 
     `direct` : of a sum of all terms without trees, s.
@@ -324,9 +323,9 @@ def _site(
         block = even_split(scene.line_length, block)
     heights = np.concatenate([scene.trace[name][scene.heard, 2] for name in ("tx", "rx")])
     height = float(max(heights.max() - scene.bottom, scene.top - heights.min()))
-    frame = Frame(grid, scene, block, rows=True)
-    image = sheets(frame)
-    relief = 0.0 if all(sheet.flat for sheet in image) else SHARE_RELIEF * tol
+    raster = Raster(grid, scene, block, rows=True)
+    image = sections(raster)
+    relief = 0.0 if all(section.flat for section in image) else SHARE_RELIEF * tol
     kinds: list[tuple[tuple[int, ...], tree.Taps]] = []
     for fans in FANS:
         for width, rate, half in TAPS:
@@ -340,7 +339,7 @@ def _site(
     if not kinds:
         return None, "no interpolation keeps tol"
     runs = native.isa_name() if backend == "cpp" else backend
-    found = layouts.cheapest(scene, frame, kinds, runs, SPARE, direct)
+    found = layouts.cheapest(scene, raster, kinds, runs, SPARE, direct)
     if found is None:
         return None, "pixels too near the track"
     if found[1] > most:
@@ -348,35 +347,35 @@ def _site(
     layout = layouts.cleared(
         scene, found[0], height, SHARE_PHASE * share, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol
     )
-    part, planes, groups = prospect(scene, image, layout, near, relief)
+    part, planes, groups = served(scene, image, layout, near, relief)
     seconds = found[1] * part * planes + direct * (1 - part)
-    return _Site(frame, image, layout, near, share, relief, height, seconds, planes * groups), ""
+    return _Candidate(raster, image, layout, near, share, relief, height, seconds, planes * groups), ""
 
 
-def _grow(
-    scene: Scene, site: _Site, tol: float, backend: str, whole: bool, most: float
+def _make_forest(
+    scene: Scene, best: _Candidate, tol: float, backend: str, whole: bool, most: float
 ) -> tuple[Forest | None, str]:  # fmt: skip
-    """The trees of a site, in shorter groups where its own reach too few pixels (`whole`: not all), about `most` trees."""
-    error = SHARE_PHASE * site.share
+    """About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not all)."""
+    error = SHARE_PHASE * best.share
 
-    def grown(layout: Layout, least: Fraction) -> Forest | None:
-        layout = layouts.cleared(scene, layout, site.height, error, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol)
-        return grow(scene, site.frame, site.image, layout, site.near, site.relief, least, whole, backend == "cpp")
+    def made(layout: Layout, least: Fraction) -> Forest | None:
+        layout = layouts.cleared(scene, layout, best.height, error, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol)
+        return make_forest(scene, best.raster, best.image, layout, best.near, best.relief, least, whole, backend == "cpp")
 
-    layout = site.layout
-    forest = grown(layout, Fraction(0))
+    layout = best.layout
+    forest = made(layout, Fraction(0))
     # shorter groups see more as from a line, and nearer pixels from afar
-    shortest = site.layout.length * max(1 / 8, site.trees / max(most, 1e-9))
+    shortest = best.layout.length * max(1 / 8, best.trees / max(most, 1e-9))
     while forest is None and layout.length > shortest:
         layout = dataclasses.replace(layout, length=layout.length * 0.7)
-        forest = grown(layout, Fraction(0))
+        forest = made(layout, Fraction(0))
     choices = None
     while forest is not None:
-        choices = choose_for_leaves(forest.scene, site.share, backend, SHARE_ROUNDING, forest.rate)
+        choices = choose_for_leaves(forest.scene, best.share, backend, SHARE_ROUNDING, forest.rate)
         if choices is not None:
             break
         # near a record's end tables hold all frequencies that samples can: their intervals must be shorter for that
-        forest = grown(layout, 2 * forest.rate) if forest.rate < FINEST else None
+        forest = made(layout, 2 * forest.rate) if forest.rate < FINEST else None
     if forest is None or choices is None:
         return None, "no pixel far enough from all groups of pings, or too steep a relief"
     merges = len(layout.fans)
@@ -384,8 +383,8 @@ def _grow(
     errors = choices.errors | {"sub-images": math.hypot(bounds.tree_error(layout.taps, merges + 1), ends)}
     if merges:
         errors["positions"] = SHARE_POSITIONS * tol * merges / MOST_MERGES
-    if not all(sheet.flat for sheet in forest.sheets):
-        errors["relief"] = site.relief
+    if not all(section.flat for section in forest.sections):
+        errors["relief"] = best.relief
     forest.choices = dataclasses.replace(choices, errors=errors)
     forest.seconds = forest_seconds(forest, backend)
     return forest, ""

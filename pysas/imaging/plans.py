@@ -20,7 +20,7 @@ from pysas.model.image import Image
 from pysas.planning import view_angles
 from pysas.planning.costs import prepare_seconds, sum_seconds
 from pysas.planning.forest import Forest
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 from pysas.planning.scene import Scene
 from pysas.planning.settings import Choices, reader_of
 
@@ -74,7 +74,7 @@ class Plan:
         self.grid, self.scene, self.nan = grid, scene, nan
         self.method, self.forest, self.why_direct = method, forest, why_direct
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
-        self.frame = Frame(grid, scene, choices.block) if forest is None else forest.frame
+        self.raster = Raster(grid, scene, choices.block) if forest is None else forest.raster
         self.reported = choices.reported()
         self.reader = reader_of(choices, scene.band)
         self.silent = scene.why_empty()
@@ -209,7 +209,7 @@ class Plan:
         c = self.choices
         rounds = -(-self.scene.traces // c.batch)
         if self.forest is not None:
-            rounds += max(len(sheet.trees) for sheet in self.forest.sheets)
+            rounds += max(len(section.trees) for section in self.forest.sections)
         return bool(self.dtype == np.complex64 and rounds > c.run // 8)
 
     @property

@@ -98,7 +98,7 @@ RELIEF = 2.0  # times as long as from their plane: pixels read off it
 
 # s: of a tree that threads do not share, its planning included where C++ grows it; of planning any at all
 TREE_SECONDS = {"cpp": 0.003, "numba": 0.003}
-GROW_SECONDS = {"cpp": 0.003, "numba": 0.1}
+PLAN_SECONDS = {"cpp": 0.003, "numba": 0.1}
 
 
 def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
@@ -114,7 +114,7 @@ def forest_seconds(forest: Forest, backend: str) -> float:
     """Predicted time of trees that are grown, of the direct sum of what they leave, and of preparation, on one thread."""
     work, c = forest.work(), forest.choices
     term, node, merge, read = tree_ns(forest.layout.taps.width, native.isa_name() if backend == "cpp" else backend)
-    read *= 1.0 if all(sheet.flat for sheet in forest.sheets) else RELIEF
+    read *= 1.0 if all(section.flat for section in forest.sections) else RELIEF
     trees = work.leaf_terms * term + work.leaf_nodes * node + work.merged * merge + work.read * read
     rest = sum_seconds(forest.scene, c, backend, 1 - forest.share)
     return trees * 1e-9 + rest + prepare_seconds(forest.scene, c, work.traces)

@@ -20,11 +20,11 @@ from pysas.engine import MOVING, native
 from pysas.engine.tree import Taps
 from pysas.model.echoes import EDGE
 from pysas.planning import subapertures
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 from pysas.planning.scene import Scene
 from pysas.planning.settings import Choices
 from pysas.planning.subapertures import BoolArray, Medium, Readings, Subtree
-from pysas.planning.tiles import Sheet, Tree
+from pysas.planning.tiles import Section, Tree
 
 MOST_PLANES = 6
 WIDE = 0.3  # a tile's radius, seen from a group, at most: rad
@@ -66,18 +66,18 @@ class Forest:
     """All trees of an image."""
 
     scene: Scene
-    frame: Frame
+    raster: Raster
     layout: Layout
     rate: Fraction  # nodes per sample
     step: float
-    sheets: list[Sheet]
+    sections: list[Section]
     choices: Choices
     share: float
     seconds: float = 0.0
 
     @property
     def trees(self) -> list[Tree]:
-        return [t for sheet in self.sheets for t in sheet.trees]
+        return [t for section in self.sections for t in section.trees]
 
     @property
     def store_bytes(self) -> int:
@@ -94,8 +94,8 @@ class Forest:
     def work(self) -> Work:
         """Counted, but that leaves of a tree are taken to have as many traces each."""
         terms = nodes = merged = read = traces = 0.0
-        for sheet in self.sheets:
-            for t in sheet.trees:
+        for section in self.sections:
+            for t in section.trees:
                 traces += len(t.order)
                 if t.subtree is None:
                     continue
@@ -103,7 +103,7 @@ class Forest:
                 nodes += levels[0].nodes
                 terms += levels[0].nodes * len(t.order) / len(levels[0])
                 merged += sum(above.nodes * len(below) / len(above) for below, above in itertools.pairwise(levels))
-                read += int(sheet.pixels[t.read].sum())
+                read += int(section.pixels[t.read].sum())
         return Work(terms, nodes, merged, read, int(traces))
 
     def describe(self) -> list[str]:
@@ -114,7 +114,7 @@ class Forest:
             f"{taps.width} taps at {taps.rate:.3g} x the band, nodes every {self.step:.3g} m",
             f"  factorised     {100 * self.share:.1f} % of the terms, the rest summed directly",
         ]
-        stack = max(sheet.planes.size for sheet in self.sheets)
+        stack = max(section.planes.size for section in self.sections)
         if stack > 1:
             lines.append(f"  relief         pixels read from {stack} planes each, trees for all of them")
         if trees:
@@ -128,23 +128,23 @@ class Forest:
         return lines
 
 
-def _stack(sheet: Sheet, groups: list[subapertures.Group], scene: Scene, error: float) -> FloatArray | None:
-    """Heights of the planes that a sheet's pixels are read from by polynomials of height, or None where too many were needed.
+def _stack(section: Section, groups: list[subapertures.Group], scene: Scene, error: float) -> FloatArray | None:
+    """Heights of the planes that a section's pixels are read from by polynomials of height, or None where too many were needed.
 
     At one range and one place along its axis a group's phases turn with the angle about that axis by what its transmitters and
     receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev nodes lacks
     a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2 cos^2/(2 r) for each
     sensor q beside the axis, and as q/r of a transmitter and a receiver that are not equally far.
     """
-    low, high = sheet.corners[sheet.active][..., 2].min(), sheet.corners[sheet.active][..., 2].max()
+    low, high = section.corners[section.active][..., 2].min(), section.corners[section.active][..., 2].max()
     most = 0.0
     for members in groups:
         tx, rx = (scene.trace[name][members.traces] - members.centre for name in ("tx", "rx"))
         across = [v - np.outer(v @ members.axis, members.axis) for v in (tx, rx)]
         size = np.linalg.norm(across, axis=-1)
         second = np.sum(size**2, axis=0) + size.min(axis=0) * np.linalg.norm(tx - rx, axis=1)
-        _, beside = subapertures.onto(sheet.corners, members, sheet.plane)
-        clear = _beside(sheet.corners, beside, members)
+        _, beside = subapertures.onto(section.corners, members, section.plane)
+        clear = _beside(section.corners, beside, members)
         if clear.any():
             closest = float(beside[clear].min())
             off = float(np.max(np.linalg.norm(across[0] + across[1], axis=1) + second / closest))
@@ -164,15 +164,15 @@ def _beside(corners: FloatArray, beside: FloatArray, members: subapertures.Group
 
 
 def _fates(
-    scene: Scene, order: npt.NDArray[np.int64], members: subapertures.Group, sheet: Sheet, layout: Layout, step: float,
+    scene: Scene, order: npt.NDArray[np.int64], members: subapertures.Group, section: Section, layout: Layout, step: float,
     near: float,
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
     """Which tiles are read from a group's sub-image, and which are summed directly; the rest is silent or not wanted.
 
     None is read across a beam's edge, where the sum has a step.
     """
-    corners, active = sheet.corners, sheet.active
-    middle, radius = sheet.spheres
+    corners, active = section.corners, section.active
+    middle, radius = section.spheres
     ground = np.linalg.norm(middle[:, :2] - members.centre[:2], axis=1)
     nearest = ground - radius
     # nodes that a read depends on lie this much further out or in, and to the sides
@@ -181,7 +181,7 @@ def _fates(
     least = max(float(np.hypot(subapertures.NEAR * members.extent, heights.max())), layout.clear)
     away = subapertures.slant(np.maximum(nearest, 0), float(heights.min()))
     read = active & (away >= near) & (away - reach >= least) & (radius <= WIDE * ground) & (scene.cos_beam <= -1)
-    for plane in () if sheet.flat else sheet.planes:
+    for plane in () if section.flat else section.planes:
         seen, beside = subapertures.onto(corners, members, plane)
         closest = np.linalg.norm(np.nan_to_num(seen[..., :2] - members.centre[:2]), axis=-1).min(axis=1)
         read &= _beside(corners, beside, members) & (closest >= subapertures.NEAR * members.extent)
@@ -251,28 +251,28 @@ def _step(scene: Scene, layout: Layout) -> float:
     return scene.c / (4 * scene.band * scene.fs * layout.taps.rate)
 
 
-def prospect(
-    scene: Scene, image: list[Sheet], layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
+def served(
+    scene: Scene, image: list[Section], layout: Layout, near: float, relief: float, most: int = 5, tiles: int = 500
 ) -> tuple[float, int, int]:  # fmt: skip
     """Share of the terms that trees of a layout would serve, planes that pixels would be read from, and number of groups.
 
-    The first two judged by about `most` of the groups and `tiles` of the tiles of each sheet of the `image`.
+    The first two judged by about `most` of the groups and `tiles` of the tiles of each section of the `image`.
     """
     whole, centres = _cut(scene, layout.length)
     pieces = whole[len(whole) // most // 2 :: max(1, len(whole) // most)]
     groups = [subapertures.group(piece, centres)[0] for piece in pieces]
     through = everything = 0
     deepest = 1
-    for sheet in image:
-        if not sheet.active.any():
+    for section in image:
+        if not section.active.any():
             continue
-        planes = sheet.planes if sheet.flat else _stack(sheet, groups, scene, relief)
+        planes = section.planes if section.flat else _stack(section, groups, scene, relief)
         if planes is None:
             return 0.0, 1, len(whole)
         deepest = max(deepest, planes.size)
-        some = np.flatnonzero(sheet.active)
+        some = np.flatnonzero(section.active)
         some = some[:: max(1, some.size // tiles)]
-        fewer = replace(sheet, planes=planes, pixels=sheet.pixels[some], corners=sheet.corners[some])
+        fewer = replace(section, planes=planes, pixels=section.pixels[some], corners=section.corners[some])
         for piece, members in zip(pieces, groups, strict=True):
             read, direct = _fates(scene, piece, members, fewer, layout, _step(scene, layout), near)
             through += len(piece) * int(fewer.pixels[read].sum())
@@ -280,22 +280,22 @@ def prospect(
     return through / max(everything, 1), deepest, len(whole)
 
 
-def grow(
-    scene: Scene, frame: Frame, image: list[Sheet], layout: Layout, near: float, relief: float, least: Fraction, whole: bool,
-    compiled: bool,
+def make_forest(
+    scene: Scene, raster: Raster, image: list[Section], layout: Layout, near: float, relief: float, least: Fraction,
+    whole: bool, compiled: bool,
 ) -> Forest | None:  # fmt: skip
     """All trees of an image, without choices for the direct sums; None where no pixel can be read from one (`whole`: not all),
     or where trees have more nodes than the sum has terms.
 
-    `image` : its sheets, which stay as they are; `relief` : relative error that reading pixels off their planes may cost;
-    `least` : nodes per sample at least; `compiled` : whether C++ grows the trees.
+    `image` : its sections, which stay as they are; `relief` : relative error that reading pixels off their planes may cost;
+    `least` : nodes per sample at least; `compiled` : whether C++ makes the trees.
     """
     pieces, centres = _cut(scene, layout.length)
     if not pieces:
         return None
     groups = [subapertures.group(part, centres) for part in pieces]
     step = _step(scene, layout)
-    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]] = []
+    found: list[tuple[Section, list[tuple[BoolArray, BoolArray, Readings | None]]]] = []
     for base in image:
         if not base.active.any():
             continue
@@ -309,20 +309,20 @@ def grow(
             if whole and fates[-1][1].any():
                 return None
         for k, plane in enumerate(planes):
-            sheet, seen = replace(base, plane=float(plane), number=k, trees=[]), []
+            section, seen = replace(base, plane=float(plane), number=k, trees=[]), []
             for (members, _), (read, direct) in zip(groups, fates, strict=True):
                 reads = None
                 if read.any():
                     corners = base.corners[read]
-                    corners = corners if base.flat else subapertures.onto(corners, members, sheet.plane)[0]
+                    corners = corners if base.flat else subapertures.onto(corners, members, section.plane)[0]
                     reads = subapertures.seen_from(corners, members.centre)
                 seen.append((read, direct if k == 0 else np.zeros_like(direct), reads))  # once is enough
-            found.append((sheet, seen))
+            found.append((section, seen))
     if not any(reads is not None for _, seen in found for _, _, reads in seen):
         return None
     rate = max(least, _nodes_per_sample(scene, layout, 2 / scene.c * scene.band * scene.fs))
     while True:
-        forest, highest = _plant(scene, frame, layout, pieces, groups, centres, found, rate, compiled)
+        forest, highest = _with_rate(scene, raster, layout, pieces, groups, centres, found, rate, compiled)
         if forest is None or highest <= rate:
             return forest
         rate = highest
@@ -333,10 +333,10 @@ def _nodes_per_sample(scene: Scene, layout: Layout, along: float) -> Fraction:
     return native.simple_rate(scene.c * layout.taps.rate * layout.spare * along / scene.fs)
 
 
-def _plant(
-    scene: Scene, frame: Frame, layout: Layout, pieces: list[npt.NDArray[np.int64]],
+def _with_rate(
+    scene: Scene, raster: Raster, layout: Layout, pieces: list[npt.NDArray[np.int64]],
     groups: list[tuple[subapertures.Group, FloatArray]], centres: FloatArray,
-    found: list[tuple[Sheet, list[tuple[BoolArray, BoolArray, Readings | None]]]], rate: Fraction, compiled: bool,
+    found: list[tuple[Section, list[tuple[BoolArray, BoolArray, Readings | None]]]], rate: Fraction, compiled: bool,
 ) -> tuple[Forest | None, Fraction]:  # fmt: skip
     """Trees with `rate` nodes per sample, and how many their bands ask for.
 
@@ -350,16 +350,16 @@ def _plant(
     through = everything = 0
     along = 0.0
     left = max(LEAST_NODES, sum(len(piece) for piece in pieces) * scene.pixels)
-    grown = []
+    made = []
     for base, seen in found:
-        sheet = replace(base, trees=[])
+        section = replace(base, trees=[])
         for piece, (members, places), (read, direct, reads) in zip(pieces, groups, seen, strict=True):
             if not (read.any() or direct.any()):
                 continue
             subtree = None
             if reads is not None:
-                subtree = subapertures.plant(
-                    members, places, layout.fans, scene.trace, centres, medium, sheet.plane, reads, step, layout.taps, left,
+                subtree = subapertures.make_subtree(
+                    members, places, layout.fans, scene.trace, centres, medium, section.plane, reads, step, layout.taps, left,
                     compiled,
                 )  # fmt: skip
                 if subtree is None:
@@ -368,14 +368,14 @@ def _plant(
                 along = max(along, subtree.along)
                 _widen(wider, subtree, step)
             traces = piece if subtree is None else subtree.traces
-            sheet.trees.append(Tree(traces, read, direct, subtree, members))
-            if sheet.number == 0:
-                through += len(traces) * int(sheet.pixels[read].sum())
-                everything += len(traces) * int(sheet.pixels[read | direct].sum())
-        if sheet.trees:
-            grown.append(sheet)
+            section.trees.append(Tree(traces, read, direct, subtree, members))
+            if section.number == 0:
+                through += len(traces) * int(section.pixels[read].sum())
+                everything += len(traces) * int(section.pixels[read | direct].sum())
+        if section.trees:
+            made.append(section)
     share = through / max(everything, 1)
-    forest = Forest(wider, frame, layout, rate, step, grown, None, share)  # type: ignore[arg-type]
+    forest = Forest(wider, raster, layout, rate, step, made, None, share)  # type: ignore[arg-type]
     return forest, _nodes_per_sample(scene, layout, along)
 
 

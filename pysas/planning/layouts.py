@@ -14,7 +14,7 @@ from pysas.engine.tree import Taps
 from pysas.planning import bounds, subapertures
 from pysas.planning.costs import tree_ns
 from pysas.planning.forest import Layout, reception
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 from pysas.planning.scene import Scene
 
 HELD = 0.45  # cycles a sample: nodes for as much hold all that W passes, as taps fail slowly beyond their band
@@ -26,18 +26,18 @@ def _track(scene: Scene) -> FloatArray:
     return subapertures.by_ping(centres, np.flatnonzero(scene.heard) // scene.channels)[0][:, :2]
 
 
-def grounds(scene: Scene, frame: Frame) -> FloatArray:
+def grounds(scene: Scene, raster: Raster) -> FloatArray:
     """Ground distances between some of the track and some of the image, m."""
     places = _track(scene)
     some = places[:: max(1, len(places) // 64)]
-    pixels = _sample(frame, 24).reshape(-1, 3)
+    pixels = _sample(raster, 24).reshape(-1, 3)
     return np.sqrt((some[:, :1] - pixels[:, 0]) ** 2 + (some[:, 1:] - pixels[:, 1]) ** 2).ravel()
 
 
-def _sample(frame: Frame, most: int) -> FloatArray:
+def _sample(raster: Raster, most: int) -> FloatArray:
     """Some pixels (row, column, 3), the image's edges among them."""
-    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64)) for n in frame.shape)
-    return frame.some(rows, columns)
+    rows, columns = (np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64)) for n in raster.shape)
+    return raster.some(rows, columns)
 
 
 def lengths(scene: Scene, away: FloatArray) -> list[float]:
@@ -61,12 +61,12 @@ class _View:
     depth: float  # of their ground distances, m
 
 
-def _views(scene: Scene, frame: Frame) -> list[_View]:
+def _views(scene: Scene, raster: Raster) -> list[_View]:
     """By candidate length, those that serve any pixel."""
     places = _track(scene)
     path = float(np.sum(np.linalg.norm(np.diff(places[:: max(1, len(places) // 256)], axis=0), axis=1)))
     centre = places[len(places) // 2]
-    pixel = _sample(frame, 24)
+    pixel = _sample(raster, 24)
     points = pixel[..., :2] - centre
     ground = np.hypot(points[..., 0], points[..., 1])
     bearings = np.arctan2(points[..., 1], points[..., 0])
@@ -74,7 +74,7 @@ def _views(scene: Scene, frame: Frame) -> list[_View]:
     down = float(np.mean(np.linalg.norm(pixel[-1] - pixel[0], axis=-1))) or 0.01
     across = float(np.mean(np.linalg.norm(pixel[:, -1] - pixel[:, 0], axis=-1))) or 0.01
     found = []
-    for length in lengths(scene, grounds(scene, frame)):
+    for length in lengths(scene, grounds(scene, raster)):
         served = ground >= subapertures.NEAR * min(length, path)
         if served.any():
             area = down * across * float(np.mean(np.where(served, 1 / np.maximum(ground, 1e-9), 0)))
@@ -87,7 +87,7 @@ def _views(scene: Scene, frame: Frame) -> list[_View]:
 
 
 def cheapest(
-    scene: Scene, frame: Frame, kinds: list[tuple[tuple[int, ...], Taps]], runs: str, spare: float, direct: float
+    scene: Scene, raster: Raster, kinds: list[tuple[tuple[int, ...], Taps]], runs: str, spare: float, direct: float
 ) -> tuple[Layout, float] | None:
     """Of layouts of the `kinds` (fans, taps), that of the least predicted time, and its seconds on one thread if it served all
     pixels; None where none serves any.
@@ -95,7 +95,7 @@ def cheapest(
     What is not served costs its share of `direct`, s; served are, to begin with, pixels far enough along the ground.
     """
     best: tuple[float, Layout, float] | None = None
-    for view in _views(scene, frame):
+    for view in _views(scene, raster):
         for fans, taps in kinds:
             layout = Layout(view.length, fans, taps, spare, 0.0, 0.0, 0.0)
             trees = _seconds(scene, view, layout, runs)

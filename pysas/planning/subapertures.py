@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pysas._checks import FloatArray
-from pysas.engine import growth
+from pysas.engine import subtrees
 from pysas.engine.traces import Records
 from pysas.engine.tree import IntArray, SubImages, Taps
 
@@ -360,7 +360,7 @@ class Subtree:
     along: float
 
 
-def plant(
+def make_subtree(
     members: Group, along: FloatArray, fans: tuple[int, ...], trace: Records, centres: FloatArray, medium: Medium,
     plane: float, reads: Readings, step: float, taps: Taps, left: int, compiled: bool = False,
 ) -> Subtree | None:  # fmt: skip
@@ -372,7 +372,7 @@ def plant(
     if compiled:
         sound = np.array([medium.c, medium.fc, medium.bandwidth, medium.delay])
         ends = np.concatenate([bearings, grounds], axis=1)
-        found = growth.plant(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
+        found = subtrees.make(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
         return None if found is None else Subtree(*found)
     slants = slant(grounds, members.centre[2] - plane)
     root = _tree(members, along, fans, trace, centres, medium, plane, angle, bearings, slants, step, taps, left)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pysas._checks import FloatArray
 from pysas.planning import subapertures
-from pysas.planning.frames import Frame
+from pysas.planning.raster import Raster
 from pysas.planning.subapertures import BoolArray, Subtree
 
 TILE_ROWS = 32
@@ -31,7 +31,7 @@ class Tree:
 
 
 @dataclass
-class Sheet:
+class Section:
     """Lines [begin, end) of the image and the trees of a horizontal plane that they are read from.
 
     Lines that lie on no plane are read from a stack of them, polynomials through number `number` of `planes` (heights, m).
@@ -64,24 +64,24 @@ class Sheet:
         return middle, np.linalg.norm(self.corners - middle[:, None], axis=-1).max(axis=1)
 
 
-def sheets(frame: Frame) -> list[Sheet]:
+def sections(raster: Raster) -> list[Section]:
     """The image's lines by the plane they lie on, or all of them where they lie on none."""
-    height, width = frame.shape
+    height, width = raster.shape
     cuts = np.array([0, height])
-    if frame.straight and not np.any(frame.step[:, 2]):
-        steps = np.flatnonzero(np.diff(frame.first[:, 2])) + 1
+    if raster.straight and not np.any(raster.step[:, 2]):
+        steps = np.flatnonzero(np.diff(raster.first[:, 2])) + 1
         if len(steps) < max(1, height // TILE_ROWS):
             cuts = np.concatenate([[0], steps, [height]])
     found = []
     for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
-        top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, frame.count)
-        part = None if frame.mask is None else np.ascontiguousarray(frame.mask[begin:end])
+        top, left = np.arange(begin, end, TILE_ROWS), np.arange(0, width, raster.count)
+        part = None if raster.mask is None else np.ascontiguousarray(raster.mask[begin:end])
         boxes = np.empty((len(top), len(left), 8, 3))
         pixels = np.empty((len(top), len(left)), dtype=np.int64)
-        columns = np.minimum(frame.count, width - left)
+        columns = np.minimum(raster.count, width - left)
         for i, line in enumerate(top):
             last = min(line + TILE_ROWS, end)
-            boxes[i] = _boxes(frame, int(line), int(last), left)
+            boxes[i] = _boxes(raster, int(line), int(last), left)
             rows = None if part is None else part[line - begin : last - begin]
             pixels[i] = (last - line) * columns if rows is None else np.add.reduceat(rows.sum(axis=0), left)
         corners = boxes.reshape(-1, 8, 3)
@@ -89,28 +89,28 @@ def sheets(frame: Frame) -> list[Sheet]:
         if low == high:  # those above are those below
             corners = np.ascontiguousarray(corners[:, :4])
         planes = np.array([(low + high) / 2])
-        found.append(Sheet(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
+        found.append(Section(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
     return found
 
 
-def _boxes(frame: Frame, line: int, last: int, left: npt.NDArray[np.int64]) -> FloatArray:
+def _boxes(raster: Raster, line: int, last: int, left: npt.NDArray[np.int64]) -> FloatArray:
     """Corners (block, 8, 3), the lower four first, of upright boxes about blocks of lines [line, last) from columns `left` on.
 
     Whatever the order of the lines; along straight lines' mean direction, which fits lines of any.
     """
-    width = frame.shape[1]
-    if not frame.straight:
+    width = raster.shape[1]
+    if not raster.straight:
         turn = np.eye(2)
-        points = frame.points(line * width, last * width).reshape(last - line, width, 3)
+        points = raster.points(line * width, last * width).reshape(last - line, width, 3)
         low, high = (reach.reduceat(points, left, axis=1) for reach in (np.minimum, np.maximum))
     else:
-        step = frame.step[line:last]
+        step = raster.step[line:last]
         ahead = step[:, :2].sum(axis=0)
         size = float(np.hypot(*ahead))
         ahead = ahead / size if size > 0 else np.array([1.0, 0.0])
         turn = np.array([ahead, [-ahead[1], ahead[0]]])
-        columns = np.stack([left, np.minimum(left + frame.count, width) - 1])
-        ends = frame.first[line:last, None, None] + step[:, None, None] * columns[..., None]
+        columns = np.stack([left, np.minimum(left + raster.count, width) - 1])
+        ends = raster.first[line:last, None, None] + step[:, None, None] * columns[..., None]
         ends[..., :2] = ends[..., :2] @ turn.T
         low, high = ends.min(axis=1), ends.max(axis=1)
     low, high = low.min(axis=0), high.max(axis=0)
@@ -121,9 +121,9 @@ def _boxes(frame: Frame, line: int, last: int, left: npt.NDArray[np.int64]) -> F
     return out
 
 
-def pixels_of(tiles: BoolArray, sheet: Sheet, count: int) -> npt.NDArray[np.bool_]:
+def pixels_of(tiles: BoolArray, section: Section, count: int) -> npt.NDArray[np.bool_]:
     """The pixels of some tiles, (line, pixel)."""
-    height = sheet.end - sheet.begin
+    height = section.end - section.begin
     grid = tiles.reshape(-(-height // TILE_ROWS), -1)
-    full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : sheet.width]
-    return np.ascontiguousarray(full if sheet.mask is None else full & sheet.mask)
+    full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : section.width]
+    return np.ascontiguousarray(full if section.mask is None else full & section.mask)

@@ -1,4 +1,4 @@
-"""Trees below groups of traces, grown in C++: what subapertures.plant does in Python."""
+"""Trees below groups of traces, made in C++: what subapertures.make_subtree does in Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pysas.engine.traces import Records
 from pysas.engine.tree import PLACE, SHAPE, IntArray, SubImages, Taps
 
 
-def plant(
+def make(
     trace: Records, centres: FloatArray, order: IntArray, medium: FloatArray, fans: Sequence[int], taps: Taps,
     plane: float, direction: float, readings: FloatArray, step: float, left: int,
 ) -> tuple[IntArray, tuple[SubImages, ...], float] | None:  # fmt: skip
@@ -22,7 +22,7 @@ def plant(
     `order` : the group's traces; `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where
     receivers move.
     """
-    ordered, counts, place, shape, ranges, span, along = native.core().plant(
+    ordered, counts, place, shape, ranges, span, along = native.core().subtree(
         trace, centres, order, medium, fans, taps.width, taps.half, taps.rate, plane, direction, readings, step, left
     )
     if not len(counts):

@@ -29,9 +29,9 @@ def leaves(tree):
 def test_both_builders_grow_the_same_trees(name, tol):
     make, grid = SCENES[name]
     plan = pysas.plan(make(), grid, tol, "ffbp", backend="cpp", fallback=False)
-    near, layout, frame = plan.choices.near, plan.forest.layout, plan.forest.frame
+    near, layout, raster = plan.choices.near, plan.forest.layout, plan.forest.raster
     one, other = (
-        forest.grow(plan.scene, frame, tiles.sheets(frame), layout, near, 0.2 * tol, Fraction(0), True, compiled)
+        forest.make_forest(plan.scene, raster, tiles.sections(raster), layout, near, 0.2 * tol, Fraction(0), True, compiled)
         for compiled in (False, True)
     )
     assert one.rate == other.rate and one.share == other.share == 1 and len(one.trees) == len(other.trees)

@@ -14,7 +14,7 @@ from pysas.planning.scene import Scene
 ROWS = 32  # lines of a tile
 
 
-class Frame:
+class Raster:
     """The grid as (line, pixel on the line) cut into tiles; grids without straight lines are one line of all pixels.
 
     With `rows` these are cut by rows as well.
