@@ -27,8 +27,8 @@ types:
 define core_program
 	mkdir -p build/$(2)
 	{ for set in $(4); do echo csrc/isa/$$set.cpp; done; ls csrc/core/*.cpp csrc/tests/$(3).cpp; } | xargs -P $(JOBS) -I{} sh -c ' \
-		name=$$(basename {} .cpp); exec $(1) $(STRICT) $(if $(findstring avx2,$(4)),-DPYSAS_HAVE_AVX2) \
-		$(if $(findstring avx512,$(4)),-DPYSAS_HAVE_AVX512) $$(cat csrc/isa/$$name.flags 2>/dev/null) -c {} -o build/$(2)/$$name.o'
+		name=$$(basename {} .cpp); exec $(1) $(STRICT) "-DPYSAS_SETS=$(foreach set,$(filter-out baseline,$(4)),PYSAS_SET($(set)))" \
+		$$(sed -n "s/^$$name *|[^|]*|\([^|]*\)|.*/\1/p" csrc/isa/sets.txt) -c {} -o build/$(2)/$$name.o'
 	$(1) build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
 endef
 STRICT = -std=c++17 -g -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra -Werror -Icsrc -Icsrc/include

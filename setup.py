@@ -17,21 +17,20 @@ from setuptools import setup
 
 STRICT = os.environ.get("PYSAS_WERROR") == "1"
 WINDOWS = sys.platform == "win32"
-X86 = platform.machine().lower() in ("x86_64", "amd64", "i386", "i686")
+MACHINE = "x86" if platform.machine().lower() in ("x86_64", "amd64", "i386", "i686") else platform.machine().lower()
 
 if WINDOWS:
     FLAGS = ["/O2", "/W4", "/std:c++17", "/EHsc"] + ["/WX"] * STRICT
-    SETS = {"avx2": ["/arch:AVX2"], "avx512": ["/arch:AVX512"]}
     LIBRARY = "pysas.dll"
 else:
     # contraction off: every fused multiply-add is written as one, so that compilers cannot make results differ
     FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
-    # the Makefile reads them too; GCC 12 warns of its own AVX-512 intrinsics' undefined operands
-    SETS = {name: Path(f"csrc/isa/{name}.flags").read_text(encoding="utf-8").split() for name in ("avx2", "avx512")}
     LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
 
 CORE = sorted(str(path) for path in Path("csrc/core").glob("*.cpp"))
-MACROS = [(f"PYSAS_HAVE_{name.upper()}", "1") for name in SETS if X86]
+TABLE = [line.split("|") for line in Path("csrc/isa/sets.txt").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+SETS = {row[0].strip(): row[3 if WINDOWS else 2].split() for row in TABLE if row[1].strip() == MACHINE}
+MACROS = [("PYSAS_SETS", "".join(f"PYSAS_SET({name})" for name in SETS))]
 
 
 class OptionalBuild(build_ext):
@@ -52,7 +51,7 @@ class OptionalBuild(build_ext):
 
     def build_extension(self, extension: Pybind11Extension) -> None:
         try:
-            sets = [([f"csrc/isa/{name}.cpp"], [], SETS.get(name, [])) for name in ("baseline", *(SETS if X86 else ()))]
+            sets = [([f"csrc/isa/{name}.cpp"], [], SETS.get(name, [])) for name in ("baseline", *SETS)]
             rest = [([source], MACROS, []) for source in CORE]
             with ThreadPoolExecutor(os.cpu_count()) as pool:  # a set takes 15 to 25 s, a file of the core 1 to 3 s
                 core = [made for objects in pool.map(lambda job: self._objects(*job), sets + rest) for made in objects]

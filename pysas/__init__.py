@@ -1,18 +1,25 @@
-"""pysas: an imaging engine for synthetic aperture sonar. State a relative error `tol`; the engine keeps it."""
+"""pysas: an imaging engine for synthetic aperture sonar. State a relative error `tol`; the engine keeps it.
 
-from pysas import circular, comparison, metrics, plot, reference, tracks
-from pysas.engine import get_include, get_library, show_config
-from pysas.formats.io import load, save
-from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
-from pysas.imaging.planner import plan
-from pysas.model.echoes import Beam, Echoes
-from pysas.model.grid import Grid
-from pysas.model.image import Image, Report
-from pysas.model.pulse import LFM
-from pysas.signal import simulation
-from pysas.signal.compression import compress
-from pysas.signal.phase_history import from_phase_history
-from pysas.signal.simulation import simulate
+Names are loaded when they are first used: a program pays for no module that it does not need.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pysas import circular, comparison, metrics, plot, reference, tracks
+    from pysas.engine import get_include, get_library, show_config
+    from pysas.formats.io import load, save
+    from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
+    from pysas.imaging.planner import plan
+    from pysas.model.echoes import Beam, Echoes
+    from pysas.model.grid import Grid
+    from pysas.model.image import Image, Report
+    from pysas.model.pulse import LFM
+    from pysas.signal import simulation
+    from pysas.signal.compression import compress
+    from pysas.signal.phase_history import from_phase_history
+    from pysas.signal.simulation import simulate
 
 __version__ = "0.1.0"
 
@@ -21,3 +28,31 @@ __all__ = [
     "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot",
     "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
+
+# where those are that are no modules under their own name
+_MODULES = {
+    "engine": ("get_include", "get_library", "show_config"),
+    "formats.io": ("load", "save"),
+    "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),
+    "imaging.planner": ("plan",),
+    "model.echoes": ("Beam", "Echoes"),
+    "model.grid": ("Grid",),
+    "model.image": ("Image", "Report"),
+    "model.pulse": ("LFM",),
+    "signal.compression": ("compress",),
+    "signal.phase_history": ("from_phase_history",),
+    "signal.simulation": ("simulate", "simulation"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
+    found = globals()[name] = getattr(module, name, module)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import re
 import shutil
 import subprocess
@@ -33,7 +32,6 @@ FLAGS = [
     "-Icsrc/include",
     "-DPYSAS_BUILD=1",
 ]
-X86 = platform.machine().lower() in ("x86_64", "amd64")
 
 
 @dataclass(frozen=True)
@@ -128,9 +126,8 @@ class Tree:
             subprocess.run(build, cwd=self.folder, check=True, stdout=subprocess.DEVNULL)
             self.objects = next(self.folder.glob("objects/**/csrc"))
         else:
-            sets = ["-DPYSAS_HAVE_AVX2=1", "-DPYSAS_HAVE_AVX512=1"] if X86 else []
             target = self.objects.parent / Path(file).with_suffix(".o")
-            subprocess.run(["c++", *FLAGS, *sets, "-c", file, "-o", target], cwd=self.folder, check=True)
+            subprocess.run(["c++", *FLAGS, "-c", file, "-o", target], cwd=self.folder, check=True)
             core = sorted(self.objects.glob("core/*.o")) + sorted(self.objects.glob("isa/*.o"))
             extension = next((self.folder / "pysas" / "engine").glob("_core*.so"))
             library = next((self.folder / "pysas" / "lib").glob("libpysas.*"))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas import _pool
-from pysas.engine import _numba, backend_name, native, preparation, summation
-from pysas.engine.traces import MODEL, TRACE, place, reals, record
+from pysas import _checks, _pool
+from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP, _numba, backend_name, native, preparation, summation
+from pysas.engine.traces import BLOCK, MODEL, TILE_ROWS, TRACE, place, reals, record
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
@@ -39,15 +39,15 @@ def test_the_taper_leaves_what_pixels_need_alone():
     assert np.all(reader.window[60:-60] == 1) and reader.window[0] < 1e-4 and np.all(np.diff(reader.window[:61]) >= 0)
 
 
-@pytest.mark.parametrize("kind", [_numba.MONOSTATIC, _numba.STOP_AND_HOP, _numba.MOVING])
+@pytest.mark.parametrize("kind", [MONOSTATIC, STOP_AND_HOP, MOVING])
 def test_delays_satisfy_their_equation(kind):
     """c tau = |x - tx| + |x - rx - v tau| in long double, to 1e-16 of tau."""
     rng = np.random.default_rng(1)
     g = np.zeros((), TRACE)
     g["tx"], g["rx"] = rng.uniform(-5, 5, (2, 3))
-    if kind == _numba.MONOSTATIC:
+    if kind == MONOSTATIC:
         g["rx"] = g["tx"]
-    if kind == _numba.MOVING:
+    if kind == MOVING:
         g["velocity"] = rng.uniform(-20, 20, 3)
     x = rng.uniform(-50, 50, (3, 200))
     tau = np.empty(200)
@@ -208,6 +208,46 @@ def test_the_extension_takes_its_own_records_alone():
         arcs(reals(own))
     with pytest.raises(TypeError, match="trace: expected contiguous records"):
         arcs(np.zeros(4, TRACE)[::2])
+
+
+@pytest.mark.cpp
+def test_what_kernels_share_is_what_python_takes():
+    sizes = native.core().sizes()
+    assert (sizes["block"], sizes["rows"], sizes["step"]) == (BLOCK, TILE_ROWS, native.MOST_STEP)
+
+
+@pytest.mark.cpp
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_a_degree_without_a_kernel_runs_as_no_other(real):
+    """Of filters, and of sums; numbers of terms of the sine, and of nodes."""
+    core, listed = native.core(), native.sizes()[np.dtype(real).name]
+    data = np.ones((1, 1, 64), np.complex64 if real is np.float32 else np.complex128)
+    trace, model = np.zeros(1, TRACE), np.ones((), MODEL)
+    at, fit = native.nodes(listed["nodes"])
+    image = np.zeros((1, 8), data.dtype)
+
+    def fill(degree):
+        weight, first = np.zeros((1, 8, degree + 1)), np.zeros(1, np.int64)
+        table = np.zeros((1, 2 * (degree + 1), core.plane_stride(64, degree, np.dtype(real).itemsize)), real)
+        one = np.zeros(1, np.int64)
+        core.prepare(data, one, one, None, 1.0, weight, first, 1, 64, table, 1, "auto", None)
+        return table
+
+    def add(degree, terms, at, fit):
+        core.add(
+            fill(degree), degree, [0.0] * terms, [0.0] * (terms + 1), trace, model, 0, at, fit, np.zeros((1, 3)),
+            np.zeros((1, 3)), None, None, 8, None, None, image, 1, "auto", None,
+        )  # fmt: skip
+
+    degree, terms = listed["degrees"][-1], listed["terms"][0]
+    add(degree, terms, at, fit)
+    for wrong in (lambda: fill(6), lambda: add(degree, terms + 3, at, fit), lambda: add(degree, terms, *native.nodes(3))):
+        with pytest.raises(_checks.InternalError, match="no kernel for"):
+            wrong()
+    others = set(native.sizes()["float32"]["degrees"]) ^ set(native.sizes()["float64"]["degrees"])
+    for other in others - set(listed["degrees"]):
+        with pytest.raises(_checks.InternalError, match=f"no kernel for degree {other}"):
+            add(other, terms, at, fit)
 
 
 def test_numba_reads_only_its_own_traces(monkeypatch):

@@ -373,6 +373,7 @@ NO_MEMORY = """
 import resource, sys
 import pysas
 import h5py
+pysas.load  # and all that it needs
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 100 * 2**20, -1))
 try:

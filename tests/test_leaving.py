@@ -15,7 +15,7 @@ from numba import njit
 from pysas import _leaving, _pool
 
 SETUP = """
-    import sys, threading, time, numpy as np, pysas
+    import sys, threading, time, numpy as np, pysas, pysas._leaving, pysas._pool
     tx = np.zeros((300, 3)); tx[:, 0] = np.arange(300) * 0.02
     data = np.ones((300, 1, 1500), np.complex64)
     echoes = pysas.Echoes(data, fs=40e3, fc=1e5, tx=tx, rx=tx[:, None], t0=0.03, bandwidth=30e3)
@@ -77,6 +77,7 @@ def test_leaving_while_daemon_threads_compute_arcs_is_quiet():
 def test_what_is_called_at_exit_may_still_image():
     code = """
         import atexit
+        pysas.backproject  # loaded before: Python starts no pool of threads any more when it ends
         atexit.register(lambda: print(pysas.backproject(echoes, tiny, threads=2).report.terms > 0))
         pysas._leaving.atexit.unregister(pysas._leaving._leave)
         atexit.register(pysas._leaving._leave)  # last registered, first called

@@ -83,9 +83,30 @@ def test_public_names_exist() -> None:
 
 
 def test_import_loads_no_optional_library() -> None:
-    code = "import sys, pysas; print([name for name in ('matplotlib', 'h5py', 'xarray', 'pandas') if name in sys.modules])"
+    code = "import sys; from pysas import *; print([n for n in ('matplotlib', 'h5py', 'xarray', 'pandas') if n in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_import_loads_nothing_that_is_not_asked_for() -> None:
+    """NumPy neither: names are loaded when they are used."""
+    code = "import sys, pysas; print(*{'numpy', 'scipy', 'numba'} & set(sys.modules)); pysas.Grid, pysas.reference"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout.split() == []
+
+
+@pytest.mark.cpp
+def test_numba_is_not_loaded_where_cpp_runs() -> None:
+    code = (
+        "import sys, numpy as np, pysas\n"
+        "tx = np.zeros((8, 3)); grid = pysas.Grid.plane(np.arange(8) * 0.01, 18 + np.arange(8) * 0.01)\n"
+        "echoes = pysas.Echoes(np.ones((8, 900), 'c8'), fs=4e4, fc=1e5, tx=tx, rx=tx, t0=0.02, bandwidth=3e4)\n"
+        "for call in (pysas.backproject, pysas.ffbp, pysas.focus): call(echoes, grid, backend='cpp')\n"
+        "echoes = echoes.replace(data=echoes.data.astype('>c8')); pysas.focus(echoes, grid, backend='cpp')\n"
+        "print(*{'numba', 'llvmlite'} & set(sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout.split() == []
 
 
 @pytest.mark.cpp

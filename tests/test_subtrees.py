@@ -7,6 +7,7 @@ import pytest
 from test_factorised import CASES, TRACKS, plane, tracked
 
 import pysas
+from pysas.engine import engine_of
 from pysas.planning import forest, tiles
 
 pytestmark = pytest.mark.cpp
@@ -31,8 +32,10 @@ def test_both_builders_grow_the_same_trees(name, tol):
     plan = pysas.plan(make(), grid, tol, "ffbp", backend="cpp", fallback=False)
     near, layout, raster = plan.choices.near, plan.forest.layout, plan.forest.raster
     one, other = (
-        forest.make_forest(plan.scene, raster, tiles.sections(raster), layout, near, 0.2 * tol, Fraction(0), True, compiled)
-        for compiled in (False, True)
+        forest.make_forest(
+            plan.scene, raster, tiles.sections(raster), layout, near, 0.2 * tol, Fraction(0), True, engine_of(name)
+        )
+        for name in ("numba", "cpp")
     )
     assert one.rate == other.rate and one.share == other.share == 1 and len(one.trees) == len(other.trees)
     assert np.array_equal(one.scene.first, other.scene.first) and np.array_equal(one.scene.last, other.scene.last)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas.engine import tree
+from pysas.engine import engine_of, tree
 from pysas.engine.traces import TRACE
 from pysas.planning import subapertures
 from pysas.planning.subapertures import Group, Medium
@@ -167,6 +167,7 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=pytest.mark.cpp), False])
 def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
+    by = engine_of("cpp" if compiled else "numba").subtree
     trace = np.zeros(2, TRACE)
     trace["tx"][:, 0] = trace["rx"][:, 0] = -2.0, 2.0
     centres = trace["tx"].copy()
@@ -174,9 +175,7 @@ def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
     reads = subapertures.Readings(0.0, np.array([[-1.0, 1.0]]), np.array([[20.0, 40.0]]))
     taps = tree.taps(6, 1.2, 8)
     grown = [
-        subapertures.make_subtree(
-            members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, compiled
-        )
+        subapertures.make_subtree(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, by)
         for left in (100_000, 10_000_000)
     ]
     assert grown[0] is None and grown[1] is not None

@@ -8,8 +8,7 @@ from test_tolerance import engine
 
 import pysas
 from pysas import circular
-from pysas.engine import native
-from pysas.engine.arcs import arcs
+from pysas.engine import engine_of, native
 from pysas.engine.traces import TRACE
 from pysas.imaging import planner
 from pysas.planning import view_angles
@@ -178,7 +177,7 @@ def arcs_of(tx, rx, points, backend):
     )  # fmt: skip
     grid = pysas.Grid.points(points)
     scene = Scene(echoes, grid, UNIFORM)
-    found, patterns = view_angles.arcs(scene, points - scene.origin, 1, backend)
+    found, patterns = view_angles.arcs(scene, points - scene.origin, 1, engine_of(backend))
     return found, circular.view_weights(echoes, grid).reshape(len(points), -1), patterns
 
 
@@ -404,5 +403,5 @@ def test_the_narrowest_beams_hold_what_kernels_take(engine):
     trace["tx"] = trace["rx"] = point - 8 * towards
     trace["boresight"] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
     found = np.empty((1, 400))
-    arcs(engine, trace, 1, cosine, point, np.arange(400), found, 1)
+    engine_of(engine).arcs(trace, 1, cosine, point, np.arange(400), found, 1)
     np.testing.assert_allclose(np.mean(found[0, lit]), 1, rtol=1e-12)

@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <complex>
+#include <iterator>
 #include <optional>
 #include <string>
 #include <vector>
@@ -26,6 +27,7 @@ namespace py = pybind11;
 namespace {
 
 using namespace pysas;
+using py::operator""_a;
 
 #define PYSAS_TEXT_OF(x) #x
 #define PYSAS_TEXT(x) PYSAS_TEXT_OF(x)
@@ -296,8 +298,8 @@ struct TreeOf {
         tree.wave = wave;
         std::copy(sine.begin(), sine.end(), tree.sine);
         std::copy(cosine.begin(), cosine.end(), tree.cosine);
-        tree.nodes.count = 5;
-        std::copy_n(nodes.data(), 5, tree.nodes.at);
+        tree.nodes.count = Sizes<float>::nodes;
+        std::copy_n(nodes.data(), tree.nodes.count, tree.nodes.at);
         std::copy_n(fit.data(), max_nodes * max_nodes, &tree.nodes.fit[0][0]);
     }
     TreeOf(const TreeOf&) = delete;
@@ -412,6 +414,20 @@ py::tuple group_subtree(const py::array& trace, const Array<double>& centres, co
                           array(flat.range), array(flat.span), made.along);
 }
 
+template <typename Real>
+py::dict sizes_of() {
+    using List = Sizes<Real>;
+    const auto listed = [](const auto& list) {
+        return py::tuple(py::cast(std::vector<int>(std::begin(list), std::end(list))));
+    };
+    return py::dict("degrees"_a = listed(List::degrees), "terms"_a = listed(List::terms), "nodes"_a = List::nodes);
+}
+
+py::dict kernel_sizes() {
+    return py::dict("float32"_a = sizes_of<float>(), "float64"_a = sizes_of<double>(), "block"_a = block,
+                    "step"_a = max_step, "rows"_a = tile_rows);
+}
+
 std::string isa_of(const std::string& name) { return kernels_for(name).name; }
 
 void translate(std::exception_ptr pointer) {
@@ -437,9 +453,9 @@ PYBIND11_MODULE(_core, m) {
     py::register_exception_translator(&translate);
     PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, t0, kept, interval);
     PYBIND11_NUMPY_DTYPE(Model, c, fc, fs, rate, last, cos_beam, near, run);
-    using py::operator""_a;
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
     m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
+    m.def("sizes", &kernel_sizes, "What kernels are compiled for, by type, and what all of them share.");
     m.def("isa", &isa_of, "name"_a, "The instruction set that `name` stands for.");
     m.def("stop_others", &leaving::stop_others, "The interpreter ends in this thread: sums in others are to stop.");
     m.def("keep_others", &leaving::keep_others, "From now on the other threads do not come back to it.");

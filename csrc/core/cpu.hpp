@@ -11,10 +11,10 @@
 
 namespace pysas {
 
-enum class Isa {
-    baseline,  // what every machine of the architecture has
-    avx2,      // AVX2 and FMA
-    avx512,    // AVX-512 F, DQ, BW and VL, besides all of avx2
+enum class Isa {  // a machine that has one has those before it
+    baseline,     // what every machine of the architecture has
+    avx2,         // AVX2 and FMA
+    avx512,       // AVX-512 F, DQ, BW and VL, besides all of avx2
 };
 
 // The words of CPUID and XCR0 that decide. Words that do not exist on a machine are zero.

@@ -3,17 +3,27 @@
 #include "core/cpu.hpp"
 #include "core/errors.hpp"
 
+#ifndef PYSAS_SETS  // PYSAS_SET(name) of each set of isa/sets.txt that was built
+#define PYSAS_SETS
+#endif
+
 namespace pysas {
+
+#define PYSAS_SET(name)           \
+    namespace name {              \
+    extern const Kernels kernels; \
+    }
+PYSAS_SETS
+#undef PYSAS_SET
+
 namespace {
 
 std::vector<const Kernels*> available() {
     std::vector<const Kernels*> found{&baseline::kernels};
-#if defined(PYSAS_HAVE_AVX2)
-    if (detect() == Isa::avx2 || detect() == Isa::avx512) found.push_back(&avx2::kernels);
-#endif
-#if defined(PYSAS_HAVE_AVX512)
-    if (detect() == Isa::avx512) found.push_back(&avx512::kernels);
-#endif
+#define PYSAS_SET(name) \
+    if (detect() >= Isa::name) found.push_back(&name::kernels);
+    PYSAS_SETS
+#undef PYSAS_SET
     return found;
 }
 

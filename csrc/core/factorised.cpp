@@ -111,6 +111,7 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
 
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
             const SubImage* images, std::int64_t n_image, double slack, bool smooth, int threads, const Tick& tick) {
+    compiled(terms);
     std::vector<Piece> pieces;
     for (std::int64_t i = 0; i < n_image; ++i) {
         std::int64_t begin = images[i].stride, end = 0;

@@ -31,7 +31,7 @@ struct Fates {
     std::vector<std::uint8_t> read, direct;
 };
 
-struct Planter {
+struct Builder {
     const Geometry& geometry;
     const Layout& layout;
     const std::vector<Point>& centres;
@@ -148,7 +148,7 @@ std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Se
                                   double near, double rate, std::int64_t most) {
     const Model& model = geometry.model;
     const auto centres = phase_centres(geometry);
-    const Planter planter{geometry, layout, centres, near};
+    const Builder builder{geometry, layout, centres, near};
     std::vector<Group> groups;
     for (Numbers& traces : cut_track(geometry, centres, layout.length))
         groups.push_back(make_group(std::move(traces), centres));
@@ -158,7 +158,7 @@ std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Se
     std::vector<Fates> fates;
     for (const Section& section : sections) {
         for (const Group& group : groups) {
-            fates.push_back(planter.fates(group, section, spacing));
+            fates.push_back(builder.fates(group, section, spacing));
             const Numbers tiles = chosen(fates.back().read);
             if (tiles.empty()) continue;
             double direction = 0, far = 0, close = HUGE_VAL, left = HUGE_VAL, right = -HUGE_VAL;
@@ -205,7 +205,7 @@ std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Se
                 along = std::max(along, below.along);
                 tree.traces = std::move(below.traces);
                 tree.levels = std::move(below.levels);
-                planter.widen(tree, out.step, out);
+                builder.widen(tree, out.step, out);
             }
             const auto traces = static_cast<double>(tree.traces.size());
             through += traces * read;

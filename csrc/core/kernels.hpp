@@ -18,6 +18,48 @@ constexpr int max_trig = 12;
 constexpr int max_nodes = 7;
 constexpr int max_step = 24;  // of a filter, in samples
 
+// What kernels are compiled for, by the type of their arithmetic: degrees of the interpolation, terms of the sine's
+// polynomial, nodes of the delay's. Few enough to compile, dense enough to lose little.
+template <typename Real>
+struct Sizes {
+    static constexpr int degrees[] = {1, 2, 3, 4, 5, 7};
+    static constexpr int terms[] = {5, 6};
+    static constexpr int nodes = 5;
+};
+
+template <>
+struct Sizes<double> {
+    static constexpr int degrees[] = {3, 5, 7, 9};
+    static constexpr int terms[] = {8, 10};
+    static constexpr int nodes = 7;
+};
+
+// Filters make tables in double for sums in float too.
+struct FilterSizes {
+    static constexpr int degrees[] = {1, 2, 3, 4, 5, 7, 9};
+};
+
+template <int D>
+struct Degree {
+    static constexpr int value = D;
+};
+
+template <class List>
+constexpr bool has_degree(int degree) {
+    for (const int listed : List::degrees) {
+        if (listed == degree) return true;
+    }
+    return false;
+}
+
+// call(Degree<degree>()), for one of the list's: callers see to that (core/summation.cpp, compiled).
+template <class List, int I = 0, class Call>
+inline void with_degree(int degree, const Call& call) {
+    constexpr int count = sizeof(List::degrees) / sizeof(int);
+    if (degree == List::degrees[I]) return call(Degree<List::degrees[I]>());
+    if constexpr (I + 1 < count) with_degree<List, I + 1>(degree, call);
+}
+
 // A term counts up to this many samples beyond its record's ends, where the trace is read at the end, and up to this
 // angle beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge
 // count whatever the rounding, and far less than anything physical. Said in pysas.h and pysas.reference.exact too.
@@ -221,12 +263,6 @@ struct Kernels {
 };
 
 namespace baseline {
-extern const Kernels kernels;
-}
-namespace avx2 {
-extern const Kernels kernels;
-}
-namespace avx512 {
 extern const Kernels kernels;
 }
 

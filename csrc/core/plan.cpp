@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <iterator>
 #include <limits>
 #include <thread>
 
@@ -244,10 +245,10 @@ void Plan::keep() {
 // block.
 bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
     const double share = 0.1 * tol, eps = narrow_ ? 0x1p-24 : 0x1p-53;
-    for (const int terms : {narrow_ ? 5 : 8, narrow_ ? 6 : 10}) {
+    for (const int terms : narrow_ ? Sizes<float>::terms : Sizes<double>::terms) {
         if (fit_trigonometry(terms, sine_, cosine_) <= share / 2) break;
     }
-    nodes_.count = narrow_ ? 5 : 7;
+    nodes_.count = narrow_ ? Sizes<float>::nodes : Sizes<double>::nodes;
     const int n = nodes_.count;
     for (int j = 0; j < n; ++j) nodes_.at[j] = j == n / 2 ? 0.0 : -std::cos(pi * (2 * j + 1) / (2 * n));
     const std::vector<long double> places(nodes_.at, nodes_.at + n);
@@ -287,8 +288,9 @@ bool Plan::choose_filter(double tol, const Shares& shares, const std::vector<std
         least = longest = design(band_, narrow_ ? 7 : 9, 2, 1, most / 2, 64, 2048, true).taps;
     }
     double cheapest = std::numeric_limits<double>::infinity();
-    const std::vector<int> degrees = narrow_ ? std::vector<int>{1, 2, 3, 4, 5, 7} : std::vector<int>{3, 5, 7, 9};
-    for (const int degree : degrees) {
+    const std::vector<int> single(std::begin(Sizes<float>::degrees), std::end(Sizes<float>::degrees));
+    const std::vector<int> twice(std::begin(Sizes<double>::degrees), std::end(Sizes<double>::degrees));
+    for (const int degree : narrow_ ? single : twice) {
         for (const auto& rate : rates) {
             const double theta = pi * (ends ? 0.5 : band_) * rate.second / rate.first;
             // a polynomial's own error, before any filter is made

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <stdexcept>
+#include <string>
 #include <type_traits>
 
 #include "core/lattice.hpp"
@@ -45,6 +47,8 @@ std::int64_t plane_stride(std::int64_t intervals, int degree, std::size_t real) 
 template <typename Real, typename Sample>
 void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& filter, Real* table, std::int64_t stride,
              int threads, const Tick& tick) {
+    if (!has_degree<FilterSizes>(filter.degree))
+        throw std::logic_error("no kernel for filters of degree " + std::to_string(filter.degree));
     const std::int64_t n_sample = batch.data.shape[2], channels = batch.data.shape[1];
     const std::vector<Real> weight(filter.weight.begin(), filter.weight.end());
     const std::int64_t intervals = intervals_of(batch.length, filter.rate());
@@ -117,9 +121,23 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
         tick);
 }
 
+template <typename Real>
+void compiled(const Terms<Real>& terms) {
+    using List = Sizes<Real>;
+    const bool listed = terms.trig == List::terms[0] || terms.trig == List::terms[1];
+    if (!has_degree<List>(terms.degree) || !listed || terms.nodes.count != List::nodes)
+        throw std::logic_error("no kernel for degree " + std::to_string(terms.degree) + ", " +
+                               std::to_string(terms.trig) + " terms of the sine, " + std::to_string(terms.nodes.count) +
+                               " nodes");
+}
+
+template void compiled(const Terms<float>&);
+template void compiled(const Terms<double>&);
+
 template <typename Real, typename Pixel>
 std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image,
                  int threads, const Tick& tick) {
+    compiled(terms);
     const bool straight = raster.first != nullptr;
     const std::int64_t rows = straight ? tile_rows : 1, columns = straight ? raster.count : tile_rows * raster.count;
     const std::int64_t down = (raster.height + rows - 1) / rows, across = (raster.width + columns - 1) / columns;

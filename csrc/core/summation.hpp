@@ -79,6 +79,10 @@ struct Tiling {
     std::int64_t across;
 };
 
+// Throws std::logic_error where no kernel is compiled for the terms' polynomials.
+template <typename Real>
+void compiled(const Terms<Real>& terms);
+
 // Add a batch's terms to `image` (line, pixel); returns how many there were.
 template <typename Real, typename Pixel>
 std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image,

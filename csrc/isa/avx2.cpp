@@ -106,6 +106,7 @@ struct Double {
 
 }  // namespace
 
+extern const Kernels kernels;
 const Kernels kernels{"avx2",       &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
                       &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_pixels<Float>};
 

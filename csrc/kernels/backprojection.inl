@@ -175,11 +175,6 @@ Adders<V, N> adders() {
             &add_exact<V, D, T>};
 }
 
-template <class V, int N, int D, int Few, int Many>
-Adders<V, N> adders(int trig) {
-    return trig <= Few ? adders<V, N, D, Few>() : adders<V, N, D, Many>();
-}
-
 // Vectors of a line that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
 // those that its polynomial serves (`far`: if any), while `exact` is given each run of the others.
 template <class V, class Exactly>
@@ -309,21 +304,12 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     tile.evaluated = evaluated;
 }
 
-// Polynomial lengths by type: few enough to compile, dense enough to lose little.
 template <class V>
 void sum_tile(TileJob<typename V::real>& tile) {
-    const int degree = tile.terms->degree, trig = tile.terms->trig;
-    if constexpr (sizeof(typename V::real) == 4) {
-        sum_traces<V, 5>(tile, degree == 1   ? adders<V, 5, 1, 5, 6>(trig)
-                               : degree == 2 ? adders<V, 5, 2, 5, 6>(trig)
-                               : degree == 3 ? adders<V, 5, 3, 5, 6>(trig)
-                               : degree == 4 ? adders<V, 5, 4, 5, 6>(trig)
-                               : degree == 5 ? adders<V, 5, 5, 5, 6>(trig)
-                                             : adders<V, 5, 7, 5, 6>(trig));
-    } else {
-        sum_traces<V, 7>(tile, degree == 3   ? adders<V, 7, 3, 8, 10>(trig)
-                               : degree == 5 ? adders<V, 7, 5, 8, 10>(trig)
-                               : degree == 7 ? adders<V, 7, 7, 8, 10>(trig)
-                                             : adders<V, 7, 9, 8, 10>(trig));
-    }
+    using List = Sizes<typename V::real>;
+    with_degree<List>(tile.terms->degree, [&](auto degree) {
+        constexpr int D = decltype(degree)::value, N = List::nodes;
+        sum_traces<V, N>(tile, tile.terms->trig == List::terms[0] ? adders<V, N, D, List::terms[0]>()
+                                                                  : adders<V, N, D, List::terms[1]>());
+    });
 }

@@ -39,20 +39,5 @@ void filter_degree(const FilterJob<typename V::real>& job) {
 
 template <class V>
 void filter(const FilterJob<typename V::real>& job) {
-    switch (job.degree) {
-        case 1:
-            return filter_degree<V, 1>(job);
-        case 2:
-            return filter_degree<V, 2>(job);
-        case 3:
-            return filter_degree<V, 3>(job);
-        case 4:
-            return filter_degree<V, 4>(job);
-        case 5:
-            return filter_degree<V, 5>(job);
-        case 7:
-            return filter_degree<V, 7>(job);
-        default:
-            return filter_degree<V, 9>(job);
-    }
+    with_degree<FilterSizes>(job.degree, [&](auto degree) { filter_degree<V, decltype(degree)::value>(job); });
 }

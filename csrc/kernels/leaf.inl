@@ -271,18 +271,5 @@ void leaf_traces(LeafJob& job) {
 
 template <class V>
 void leaf(LeafJob& job) {
-    switch (job.terms->degree) {
-        case 1:
-            return leaf_traces<V, 1>(job);
-        case 2:
-            return leaf_traces<V, 2>(job);
-        case 3:
-            return leaf_traces<V, 3>(job);
-        case 4:
-            return leaf_traces<V, 4>(job);
-        case 5:
-            return leaf_traces<V, 5>(job);
-        default:
-            return leaf_traces<V, 7>(job);
-    }
+    with_degree<Sizes<float>>(job.terms->degree, [&](auto degree) { leaf_traces<V, decltype(degree)::value>(job); });
 }

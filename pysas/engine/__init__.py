@@ -1,31 +1,38 @@
-"""The only door to compiled code: which backend runs, and the sum it runs."""
+"""The only door to compiled code: which engines there are, and which of them runs."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
+from collections.abc import Callable
 from typing import Any
 
 from pysas import _checks
 from pysas.engine import native
-from pysas.engine._numba import BLOCK, MONOSTATIC, MOVING, NODES, STOP_AND_HOP
+from pysas.engine.interface import Engine
+from pysas.engine.traces import BLOCK, MONOSTATIC, MOVING, STOP_AND_HOP
 
 __all__ = [
     "BACKENDS",
     "BLOCK",
     "MONOSTATIC",
     "MOVING",
-    "NODES",
     "STOP_AND_HOP",
+    "Engine",
     "backend_name",
+    "engine_of",
     "get_include",
     "get_library",
-    "isa",
-    "processor",
     "show_config",
 ]
 
-BACKENDS = ("auto", "numba", "cpp")
+# a new engine is a module with an ENGINE, and a line here; modules are loaded when they are asked for
+ENGINES: dict[str, Callable[[], Any]] = {
+    "numba": lambda: importlib.import_module("pysas.engine.fallback"),
+    "cpp": lambda: importlib.import_module("pysas.engine.cpp"),
+}
+BACKENDS = ("auto", *ENGINES)
 
 
 def backend_name(backend: str = "auto") -> str:
@@ -39,9 +46,10 @@ def backend_name(backend: str = "auto") -> str:
     return ("cpp" if built else "numba") if name == "auto" else name
 
 
-def isa(backend: str) -> str:
-    """What a backend's kernels run on: an instruction set, or the processor that Numba compiles for."""
-    return native.isa_name() if backend == "cpp" else processor()
+def engine_of(backend: str = "auto") -> Engine:
+    """The engine that will run, as `backend_name` has it."""
+    engine: Engine = ENGINES[backend_name(backend)]().ENGINE
+    return engine
 
 
 def get_include() -> str:
@@ -75,16 +83,9 @@ def _shipped(folder: str, *names: str) -> tuple[str, str]:
     raise FileNotFoundError(f"{os.path.join(path, names[0])}: not there: the C++ parts of pysas were not built")
 
 
-def processor() -> str:
-    """Name of the processor the Numba kernels are compiled for."""
-    from llvmlite import binding
-
-    return str(binding.get_host_cpu_name())
-
-
 def show_config(mode: str = "print") -> dict[str, Any] | None:
     """Versions, backends and thread settings; printed, or returned with mode="dict"."""
-    import llvmlite
+    import llvmlite.binding
     import numba
     import numpy
     import scipy
@@ -96,8 +97,8 @@ def show_config(mode: str = "print") -> dict[str, Any] | None:
     config = {
         "pysas": pysas.__version__,
         "backend": backend_name(),
-        "isa": isa(backend_name()),
-        "processor": processor(),
+        "isa": engine_of().isa(),
+        "processor": llvmlite.binding.get_host_cpu_name(),
         "extension": "not built" if extension is None else f"{extension.compiler()}, {', '.join(extension.levels())}",
         "threads": _checks.threads(None),
         "python": platform.python_version(),

@@ -14,6 +14,10 @@ def compiler() -> str:
 def levels() -> list[str]:
     """Instruction sets this build has and this machine runs, worst first."""
 
+def sizes() -> dict[str, Any]:
+    """What kernels are compiled for, by precision: `degrees` of the interpolation, `terms` of the sine, `nodes` of the
+    delay; and what all share: pixels of a `block`, `rows` of a tile, `step` of a filter at most."""
+
 def isa(name: str) -> str:
     """The instruction set that `name` stands for; "auto" is the best. ValueError for one that is not in `levels`."""
 

@@ -40,13 +40,12 @@ from pysas.engine._numba_reach import (
     line_reach,
     reach,
 )
+from pysas.engine.traces import BLOCK, MONOSTATIC, STOP_AND_HOP
 from pysas.model.echoes import EDGE
 
-BLOCK = 64
 SLOTS = 4
 NODES = 5
 WEIGHTS = 5  # places along a block at which its weights are looked up
-MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2
 _FLAGS = ("contract",)
 _FAST = {"contract", "nsz"}
 

@@ -11,10 +11,10 @@ import importlib
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,19 +23,15 @@ import scipy.fft
 from pysas import _checks, _leaving
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import summation
 from pysas.engine.preparation import Cut, low_pass, segments
-from pysas.engine.summation import Survey, Totals, rows_per_task
+from pysas.engine.survey import Raster, Survey, Terms, Totals, rows_per_task
 
 SLAB = 2**16  # pixels of a point list at a time
-# what the kernels are compiled for, by type: degrees of the interpolation, terms of the sine, nodes of the delay polynomial
-DEGREES = {"float32": (1, 2, 3, 4, 5, 7), "float64": (3, 5, 7, 9)}
-TRIGONOMETRY = {"float32": (5, 6), "float64": (8, 10)}
-NODES = {"float32": 5, "float64": 7}
 RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
 
 
 LEAST_TAPS = 8
+PART = 2**22  # bytes of samples that are copied at a time where C++ cannot read them
 MOST_STEP = 24  # samples that a filter may step by, see kernels.hpp
 
 
@@ -64,6 +60,13 @@ def core() -> Any:
 @functools.cache
 def _watch(module: Any) -> None:
     _leaving.join(_leaving.Part(module.stop_others, module.away, module.keep_others))
+
+
+@functools.cache
+def sizes() -> dict[str, Any]:
+    """What kernels are compiled for: by precision `degrees` of the interpolation, `terms` of the sine, `nodes` of the delay."""
+    found: dict[str, Any] = core().sizes()
+    return found
 
 
 def isa_name() -> str:
@@ -135,19 +138,6 @@ class Reader:
         return self.filter.rate * (2 if self.cut is not None else 1)
 
 
-class Raster(Protocol):
-    """The image as lines of pixels; see raster.Raster."""
-
-    straight: bool
-    first: FloatArray
-    step: FloatArray
-    shape: tuple[int, int]
-    count: int
-    mask: npt.NDArray[np.bool_] | None
-
-    def points(self, begin: int, end: int) -> FloatArray: ...
-
-
 @functools.cache
 def nodes(count: int) -> tuple[FloatArray, FloatArray]:
     """Chebyshev nodes in [-1, 1] and the matrix from values there to coefficients of powers, in the kernels' 7 x 7."""
@@ -161,23 +151,42 @@ def nodes(count: int) -> tuple[FloatArray, FloatArray]:
 def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
     """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where the trace
     is not, within or without them."""
-    if not _plain(data):
-        return summation.peaks(data, begin, end, threads)
-    return np.asarray(core().peaks(data if data.ndim == 3 else data[:, None, :], begin, end, threads, None))
+    traces = data if data.ndim == 3 else data[:, None, :]
+    if _plain(data):
+        return np.asarray(core().peaks(traces, begin, end, threads, None))
+    channels = traces.shape[1]
+    found = np.empty(traces.shape[:2])
+    for some, part in _in_parts(traces):
+        flat = slice(some.start * channels, some.stop * channels)
+        found[some] = core().peaks(part, begin[flat], end[flat], threads, None)
+    return found
 
 
 def mean_squares(
     data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float, threads: int
 ) -> FloatArray:
     """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2."""
-    if not _plain(data):
-        return summation.mean_squares(data, trace, place, reach, scale, threads)
-    return np.asarray(core().mean_squares(data, trace, place, reach, scale, threads, None))
+    if _plain(data):
+        return np.asarray(core().mean_squares(data, trace, place, reach, scale, threads, None))
+    channels, found = data.shape[1], np.empty(trace.size)
+    for some, part in _in_parts(data):
+        own = np.flatnonzero((trace >= some.start * channels) & (trace < some.stop * channels))
+        first = some.start * channels
+        found[own] = core().mean_squares(part, trace[own] - first, place[own], reach, scale, threads, None)
+    return found
 
 
 def _plain(data: ComplexArray) -> bool:
     """Whether C++ can read the array where it lies: this machine's byte order, aligned, whole elements between samples."""
     return bool(data.dtype.isnative and data.flags.aligned and all(step % data.itemsize == 0 for step in data.strides))
+
+
+def _in_parts(traces: ComplexArray) -> Iterator[tuple[slice, ComplexArray]]:
+    """Working copies, that C++ can read, of some pings at a time."""
+    kind, at_once = traces.dtype.newbyteorder("="), max(1, PART // max(1, traces[0].nbytes))
+    for begin in range(0, traces.shape[0], at_once):
+        some = slice(begin, min(begin + at_once, traces.shape[0]))
+        yield some, np.array(traces[some], dtype=kind, order="C")
 
 
 def _native(traces: ComplexArray, order: npt.NDArray[np.int64]) -> ComplexArray:
@@ -193,7 +202,7 @@ def accumulate(
     reader: Reader,
     scale: float,
     raster: Raster,
-    trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
+    trigonometry: Terms,
     real: npt.DTypeLike,
     batch: int,
     image: ComplexArray,
@@ -207,7 +216,7 @@ def accumulate(
     kind = np.dtype(real)
     filter = reader.filter
     table = empty_table(reader, min(batch, len(order)), kind)
-    at, fit = nodes(NODES[kind.name])
+    at, fit = nodes(sizes()[kind.name]["nodes"])
     prepared = summed = 0.0
     terms = 0
     for begin in range(0, len(order), batch):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,68 +17,8 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba, _numba_samples
 from pysas.engine.preparation import Interpolator, coefficients, segments
+from pysas.engine.survey import Raster, Survey, Terms, Totals, in_native_order, rows_per_task
 from pysas.engine.traces import Records, reals
-
-
-def rows_per_task(n_fine: int) -> int:
-    """Traces a worker transforms at a time: several, unless their transforms outgrow the cache; more where they are short, as
-    what is around the transforms is Python's, one thread at a time."""
-    return max(1, min(8, 2**19 // n_fine), min(16, 2**16 // n_fine))
-
-
-@dataclass(frozen=True)
-class Survey:
-    """Traces as the kernels want them, coordinates about the scene's centre.
-
-    trace : (trace,) TRACE, whose first sample kept may lie before the record; weights : (trace,); kind : _numba.MONOSTATIC,
-    STOP_AND_HOP or MOVING; model : () MODEL; lattice : weights that change from pixel to pixel, at places (y, x, trace),
-    float32, and view_angles.Lattice.axes, or None; own : those of a list of points, (point, trace) of the arithmetic's type,
-    with rows for whole blocks, or None.
-    """
-
-    trace: Records
-    weights: ComplexArray
-    kind: int
-    model: Records
-    lattice: tuple[npt.NDArray[np.float32], FloatArray] | None = None
-    own: npt.NDArray[Any] | None = None
-
-    @property
-    def start(self) -> npt.NDArray[np.int64]:
-        """Number of the first sample kept of each trace."""
-        return np.asarray(self.trace["kept"], dtype=np.int64)
-
-    def part(self, begin: int, end: int) -> Survey:
-        """Traces [begin, end)."""
-        lattice = self.lattice
-        if lattice is not None:
-            lattice = (np.ascontiguousarray(lattice[0][..., begin:end]), lattice[1])
-        own = None if self.own is None else np.ascontiguousarray(self.own[:, begin:end])
-        some = slice(begin, end)
-        return Survey(self.trace[some], self.weights[some], self.kind, self.model, lattice, own)
-
-    def weighing(self) -> tuple[npt.NDArray[np.float32], FloatArray]:
-        """The lattice as Numba's kernels take it: without traces where there is none."""
-        return (np.empty((4, 4, 0), dtype=np.float32), np.ones(5)) if self.lattice is None else self.lattice
-
-
-@dataclass(frozen=True)
-class Tile:
-    """Rows [first, last) and columns [left, right) of the image seen as (line, pixel on the line)."""
-
-    first: int
-    last: int
-    left: int
-    right: int
-
-
-@dataclass(frozen=True)
-class Totals:
-    """What a sum did."""
-
-    prepare_seconds: float
-    sum_seconds: float
-    terms: int
 
 
 def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
@@ -91,15 +30,10 @@ def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.
 
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
-        pool.call(_numba_samples.peaks, _native(traces[some]), begin[some], end[some], found[some])
+        pool.call(_numba_samples.peaks, in_native_order(traces[some]), begin[some], end[some], found[some])
 
     pool.run(measure, -(-traces.shape[0] // size), threads)
     return found
-
-
-def _native(samples: ComplexArray) -> ComplexArray:
-    """`samples` in this machine's byte order, in which alone Numba reads."""
-    return samples if samples.dtype.isnative else samples.astype(samples.dtype.newbyteorder("="))
 
 
 def mean_squares(
@@ -113,7 +47,7 @@ def mean_squares(
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
         first, last = np.min(trace[some]) // channels, np.max(trace[some]) // channels
-        near = _native(data[first : last + 1])
+        near = in_native_order(data[first : last + 1])
         pool.call(_numba_samples.mean_squares, near, trace[some] - first * channels, place[some], reach, inverse, out[some])
 
     pool.run(measure, -(-trace.size // size), threads)
@@ -175,11 +109,8 @@ def accumulate(
     survey: Survey,
     reader: Interpolator,
     scale: float,
-    tiles: list[Tile],
-    locate: Callable[[Tile], tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]],
-    straight: bool,
-    count: int,
-    trigonometry: tuple[tuple[float, ...], tuple[float, ...]],
+    raster: Raster,
+    trigonometry: Terms,
     real: npt.DTypeLike,
     batch: int,
     image: ComplexArray,
@@ -188,10 +119,10 @@ def accumulate(
 ) -> Totals:
     """Add traces `order` (flat ping-channel numbers; record i of survey.trace is order[i]) of `data` to `image` (line, pixel).
 
-    `locate(tile)` gives the kernel's coords, blocks and active rows. `count` pixels make a block. The image is left
-    multiplied by `scale`.
+    The image is left multiplied by `scale`.
     """
     traces = data if data.ndim == 3 else data[:, None, :]
+    tiles, straight, count = raster.tiles(), raster.straight, raster.count
     kind = np.dtype(real)
     complex_kind = np.dtype(np.complex64 if kind == np.float32 else np.complex128)
     nodes, fit = chebyshev()
@@ -221,7 +152,7 @@ def accumulate(
             own: Any = some.own,
         ) -> None:  # fmt: skip
             tile = tiles[task]
-            coords, blocks, active = locate(tile)
+            coords, blocks, active = raster.locate(tile)
             if not active.any():
                 return
             # a line's last block ends with it: no samples were prepared for pixels beyond

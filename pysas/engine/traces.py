@@ -15,6 +15,9 @@ from pysas._checks import FloatArray
 
 Records = npt.NDArray[np.void]
 
+BLOCK, TILE_ROWS = 64, 32  # pixels of a block and lines of a tile at most, see csrc/core/kernels.hpp
+MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2  # kinds of delays
+
 PLACE = (np.float64, (3,))
 TRACE = np.dtype(
     [

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, engine
+from pysas import _checks
 from pysas._checks import ComplexArray
-from pysas.engine import BLOCK, native, summation
-from pysas.engine.summation import Survey, Totals
+from pysas.engine import BLOCK
+from pysas.engine.survey import Survey, Totals
 from pysas.engine.traces import MODEL, record
 from pysas.imaging import amplitudes, factorised, levels
 from pysas.imaging.plans import Plan
@@ -24,6 +24,8 @@ from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 from pysas.planning import bounds, view_angles
 from pysas.planning.raster import Raster
+
+AT_ONCE = 2**16  # pixels with weights of their own, at most
 
 
 @_checks.usual_errors
@@ -40,10 +42,9 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     _checks.apart(out, samples)
     notes = []
 
-    cpp = plan.backend == "cpp"
     start = _starts(plan)
     begin, end = (np.clip(at, 0, scene.n_sample) for at in (start - choices.taps, start + choices.length + choices.taps))
-    peaks = (native.peaks if cpp else summation.peaks)(samples, begin, end, plan.threads).reshape(-1)
+    peaks = plan.engine.peaks(samples, begin, end, plan.threads).reshape(-1)
     finite = np.isfinite(peaks)
     if not finite.all():
         bad = np.flatnonzero(~finite)
@@ -64,7 +65,7 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     notes += [] if plan is asked else levels.notes(plan)
 
     totals = Totals(0.0, 0.0, 0)
-    isa = engine.isa(plan.backend)
+    isa = plan.engine.isa()
     if order.size:
         raster, reader = plan.raster, plan.reader
         trigonometry = bounds.trigonometry(choices.trigonometry)[0]
@@ -79,15 +80,9 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
         else:
 
             def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
-                if isinstance(reader, native.Reader):
-                    return native.accumulate(
-                        samples, order, survey, reader, scale, raster, trigonometry, real, choices.batch, target,
-                        plan.threads, isa, tick,
-                    )  # fmt: skip
-                return summation.accumulate(
-                    samples, order, survey, reader, scale, raster.tiles(), raster.locate, raster.straight, raster.count,
-                    trigonometry, real, choices.batch, target, plan.threads, tick,
-                )  # fmt: skip
+                return plan.engine.accumulate(
+                    samples, order, survey, reader, scale, raster, trigonometry, real, choices.batch, target, plan.threads, tick
+                )
 
             survey = _survey(plan, order)
             totals = (
@@ -139,14 +134,14 @@ def _add_each(
     """`add` pixels with their own weights of traces `order`, so many at a time as these have room for."""
     scene, grid, real = plan.scene, plan.grid, np.dtype(plan.choices.precision)
     wanted = np.arange(grid.size) if grid.mask is None else np.flatnonzero(grid.mask)
-    at_once = min(native.SLAB, max(1, view_angles.BYTES // (real.itemsize * order.size * BLOCK)) * BLOCK)
+    at_once = min(AT_ONCE, max(1, view_angles.BYTES // (real.itemsize * order.size * BLOCK)) * BLOCK)
     totals = Totals(0.0, 0.0, 0)
     for begin in range(0, wanted.size, at_once):
         pixels = wanted[begin : begin + at_once]
         raster = Raster(Grid.points(grid.coordinates(pixels)), scene, 0)
         clock = time.perf_counter()
         own = np.zeros((-(-pixels.size // raster.count) * raster.count, order.size), dtype=real)  # rows of whole blocks
-        view_angles.fill(scene, raster.points(0, pixels.size), order, own, plan.threads, plan.backend)
+        view_angles.fill(scene, raster.points(0, pixels.size), order, own, plan.threads, plan.engine)
         weighed = time.perf_counter() - clock
         part = np.zeros((1, pixels.size), dtype=target.dtype)
         some = add(raster, replace(survey, own=own), part, _partly(progress, begin / wanted.size, pixels.size / wanted.size))

@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray, InternalError
-from pysas.engine.steps import Setting, Stack, steps
-from pysas.engine.summation import Totals
+from pysas.engine.steps import Setting, Stack
+from pysas.engine.survey import Totals
+from pysas.engine.traces import TILE_ROWS
 from pysas.engine.tree import SubImages
 from pysas.imaging.plans import Plan
 from pysas.planning.forest import batches
 from pysas.planning.raster import Raster
-from pysas.planning.tiles import TILE_ROWS, Section, pixels_of
+from pysas.planning.tiles import Section, pixels_of
 
 
 def accumulate(
@@ -42,7 +43,7 @@ def accumulate(
     whole = sum(len(t.order) for _, t in trees)
     longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
     setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, threads, isa)
-    engine = steps(setting, plan.reader, longest)
+    engine = plan.engine.steps(setting, plan.reader, longest)
     done = 0
 
     def store(level: int, size: int) -> Any:

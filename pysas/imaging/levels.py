@@ -25,7 +25,8 @@ import scipy.fft
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import MONOSTATIC, native, preparation, summation
+from pysas.engine import MONOSTATIC, Engine, preparation
+from pysas.engine.survey import rows_per_task
 from pysas.imaging.plans import Plan, Terms
 from pysas.planning import bounds
 from pysas.planning.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
@@ -62,12 +63,11 @@ class _Data:
     used: npt.NDArray[np.bool_]
     weight: FloatArray
     scale: float
-    cpp: bool
+    engine: Engine
     threads: int
 
     def mean_squares(self, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int) -> FloatArray:
-        measure = native.mean_squares if self.cpp else summation.mean_squares
-        return measure(self.samples, trace, place, reach, self.scale, self.threads)
+        return self.engine.mean_squares(self.samples, trace, place, reach, self.scale, self.threads)
 
 
 def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Plan:
@@ -93,7 +93,7 @@ def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: 
     if not some.trace.size:
         return plan
     traces = samples if samples.ndim == 3 else samples[:, None, :]
-    data = _Data(traces, used, *_weighed(plan.scene.weights, used, scale), plan.backend == "cpp", plan.threads)
+    data = _Data(traces, used, *_weighed(plan.scene.weights, used, scale), plan.engine, plan.threads)
     weight = data.weight[some.trace]
     own = math.sqrt(np.mean(weight * data.mean_squares(some.trace, some.place, 1)))
     ends = _ends(plan, data)
@@ -236,7 +236,7 @@ def _low_passed(plan: Plan, data: _Data, some: Terms) -> float:
     number, n_sample = np.unique(some.trace), plan.scene.n_sample
     n_fft = scipy.fft.next_fast_len(2 * n_sample)
     transfer = preparation.low_pass(scipy.fft.fftfreq(n_fft))
-    at_once = summation.rows_per_task(n_fft)
+    at_once = rows_per_task(n_fft)
     squares = np.zeros(some.trace.size)
 
     def measure(task: int) -> None:
@@ -334,7 +334,7 @@ def _direct(plan: Plan) -> Plan:
         raise ValueError(f"fallback=False, tol={plan.tol:g}: samples beside those that pixels read are too bright for trees")
     found = plan.others.get("direct")
     if found is None:
-        choices = _named(plan, choose(plan.scene, plan.budget, plan.backend), KEPT[-1:])
+        choices = _named(plan, choose(plan.scene, plan.budget, plan.engine), KEPT[-1:])
         found = _with(plan, choices)
         found.reader = reader_of(choices, plan.scene.band)
         found.forest = None
@@ -356,9 +356,9 @@ def _wide(plan: Plan, ends: float) -> Plan:
         choices: Choices | None
         if plan.forest is not None:
             share = SHARE_LEAVES * plan.budget
-            choices = choose_for_leaves(plan.scene, share, plan.backend, SHARE_ROUNDING, plan.forest.rate, ends)
+            choices = choose_for_leaves(plan.scene, share, plan.engine, SHARE_ROUNDING, plan.forest.rate, ends)
         else:
-            choices = choose(plan.scene, plan.budget, plan.backend, ends)
+            choices = choose(plan.scene, plan.budget, plan.engine, ends)
         if choices is None:
             found = _wide(_direct(plan), ends)
         else:

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray
-from pysas.engine import MONOSTATIC, MOVING, native, summation
+from pysas.engine import MONOSTATIC, MOVING, Engine
+from pysas.engine.survey import rows_per_task
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
@@ -55,7 +56,7 @@ class Plan:
         scene: Scene,
         choices: Choices,
         threads: int,
-        backend: str,
+        engine: Engine,
         nan: str,
         method: str,
         forest: Forest | None,
@@ -70,7 +71,7 @@ class Plan:
         self.fallback = fallback  # whether trees may be left for data that are too bright for them
         self.terms: Terms | None = None  # looked at when data arrive, see levels.py
         self.others: dict[str, Plan] = {}  # that take this one's place for some data
-        self.tol, self.choices, self.threads, self.backend = tol, choices, threads, backend
+        self.tol, self.choices, self.threads, self.engine = tol, choices, threads, engine
         self.grid, self.scene, self.nan = grid, scene, nan
         self.method, self.forest, self.why_direct = method, forest, why_direct
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
@@ -80,6 +81,11 @@ class Plan:
         self.silent = scene.why_empty()
         if self.silent:
             warnings.warn(self.silent, stacklevel=5)
+
+    @property
+    def backend(self) -> str:
+        """Name of the engine."""
+        return self.engine.name
 
     def __call__(
         self, data: npt.ArrayLike, out: ComplexArray | None = None, progress: Callable[[float], None] | None = None
@@ -198,9 +204,9 @@ class Plan:
         """
         if self.forest is not None:
             return self.forest.seconds / self.threads
-        direct = sum_seconds(self.scene, self.choices, self.backend) + prepare_seconds(self.scene, self.choices)
+        direct = sum_seconds(self.scene, self.choices, self.engine.costs()) + prepare_seconds(self.scene, self.choices)
         if self.scene.each:
-            direct += 1e-9 * view_angles.ARC_NS[self.backend] * self.scene.pixels * self.scene.traces
+            direct += 1e-9 * view_angles.ARC_NS * self.scene.pixels * self.scene.traces
         return direct / self.threads
 
     @property
@@ -219,9 +225,9 @@ class Plan:
         item = 8 if c.precision == "float32" else 16
         work = (16 * self.grid.size if self.wide else 0) + c.batch * c.length * c.oversampling * (c.degree + 1) * item
         if c.n_fft:
-            work += self.threads * summation.rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
-        if self.backend == "cpp" and not c.block:
-            work += 24 * min(native.SLAB, self.grid.size)
+            work += self.threads * rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
+        if not c.block:
+            work += 24 * min(self.engine.slab, self.grid.size)
         if self.forest is not None:
             work += self.forest.store_bytes
         if scene.lattice is not None:

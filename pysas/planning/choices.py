@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 
 from pysas import _checks
-from pysas.engine import MONOSTATIC, MOVING, NODES, STOP_AND_HOP, native
+from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP, Engine, native
 from pysas.planning import bounds, costs
 from pysas.planning.costs import term_ns
 from pysas.planning.scene import Scene
@@ -32,59 +32,61 @@ LONGEST_FILTER = 400
 WIDE_TAPS, WIDE_ERROR = 36, 1e-12
 
 
-def choose(scene: Scene, budget: float, backend: str = "numba", wide: float = 0.0) -> Choices:
+def choose(scene: Scene, budget: float, engine: Engine, wide: float = 0.0) -> Choices:
     """The cheapest settings whose bounds add up to at most `budget`, a relative error.
 
     `wide` : for data that are bright beside what pixels read, as many times as bright at their records' ends.
     """
-    found = _settings(scene, budget, backend, 3 * SHARE_PHASE, None, wide)
+    found = _settings(scene, budget, engine, 3 * SHARE_PHASE, None, wide)
     if found is None:  # a longer filter and a higher degree reach every budget that is let in
         raise _checks.InternalError(f"no settings within {budget:.2g}")
     return found
 
 
 def choose_for_leaves(
-    scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction, wide: float = 0.0
+    scene: Scene, budget: float, engine: Engine, rounding: float, rate: Fraction, wide: float = 0.0
 ) -> Choices | None:
     """The same with tables of `rate` intervals per sample, as C++ wants them for leaves, or None where no filter makes them
     within the budget; `rounding` : share of it for float32 offsets in a block."""
-    return _settings(scene, budget, backend, rounding, rate, wide)
+    return _settings(scene, budget, engine, rounding, rate, wide)
 
 
-def _settings(scene: Scene, budget: float, backend: str, rounding: float, rate: Fraction | None, wide: float) -> Choices | None:
+def _settings(
+    scene: Scene, budget: float, engine: Engine, rounding: float, rate: Fraction | None, wide: float
+) -> Choices | None:
     single = scene.dtype == np.complex64 or budget >= 1e-5 * (1 - 1e-9)
     precision = "float32" if single else "float64"
-    nodes = native.NODES[precision] if backend == "cpp" else NODES
-    polynomials = scene.lines is not None and (single or backend == "cpp")
-    block, near, errors = choose_delay(scene, budget, nodes, single, backend, rounding) if polynomials else (0, 0.0, {})
+    polynomials = scene.lines is not None and precision in engine.polynomials
+    block, near, errors = choose_delay(scene, budget, engine, precision, rounding) if polynomials else (0, 0.0, {})
     if single and not block:
         errors["rounding"] = 2.0**-22
     least = 2.0**-23 if single else 1e-14
-    for terms in native.TRIGONOMETRY[precision] if backend == "cpp" else range(4, 13):
+    for terms in engine.sines[precision]:
         _, wrong = bounds.trigonometry(terms)
         if wrong <= max(SHARE_PHASE * budget, least):
             break
     errors["sine and cosine"] = wrong
     kinds = {MONOSTATIC: "monostatic", STOP_AND_HOP: "bistatic", MOVING: "moving receivers"}
-    run, sums = 0, 1 if backend == "cpp" else 3
+    run = 0
     if single:
-        run = bounds.longest_run(budget, sums)
+        run = bounds.longest_run(budget, engine.sums)
         # and as many batches, of 8 traces at least, as the image may be a sum of: see Plan.wide
         batches = min(-(-scene.traces // 8), run // 8)
-        errors["running sums"] = bounds.running_error(min(run, scene.traces), sums) + bounds.running_error(batches, 1)
+        errors["running sums"] = bounds.running_error(min(run, scene.traces), engine.sums) + bounds.running_error(batches, 1)
     shared = {"precision": precision, "block": block, "near": near, "trigonometry": terms, "delay": kinds[scene.kind]}
     shared["run"] = run
     if rate is not None:
         errors["drift"] = SHARE_PHASE * budget
-    if backend == "numba":
-        return _choose_transform(scene, budget, errors, shared, wide)
-    return _choose_filter(scene, budget, errors, shared, rate, wide)
+    if engine.filters:
+        return _choose_filter(scene, budget, engine, errors, shared, rate, wide)
+    return _choose_transform(scene, budget, engine, errors, shared, wide)
 
 
 def _choose_filter(
-    scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None, wide: float
-) -> Choices | None:
-    """C++: coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
+    scene: Scene, budget: float, engine: Engine, errors: dict[str, float], shared: dict[str, Any], fixed: Fraction | None,
+    wide: float,
+) -> Choices | None:  # fmt: skip
+    """Coefficients by a short filter; where pixels need samples near a record's end, of traces low-passed by W first.
 
     W (see pysas.reference.exact) says how a record's end is read, and its long response needs transforms: one forward, one
     back to twice the sample rate, where |f| <= 1/4 is all there is left for the filter to read. With `wide` whole records
@@ -106,7 +108,7 @@ def _choose_filter(
     left = min((SHARE_WIDE if wide else SHARE_INTERPOLATION) * budget, budget - sum(errors.values()))
     best: tuple[float, native.Filter] | None = None
     rates = native.RATES if fixed is None else ((fixed.numerator, fixed.denominator * double),)
-    for degree in native.DEGREES[shared["precision"]]:
+    for degree in native.sizes()[shared["precision"]]["degrees"]:
         for phases, step in rates:
             # a polynomial's own error, before any filter is made: near-minimax for this phase advance
             theta = np.pi * band * step / phases
@@ -115,7 +117,9 @@ def _choose_filter(
             filter = native.design(band, degree, phases, step, left, most, least)
             if filter.error > left:
                 continue
-            term = term_ns(scene, "cpp", shared["precision"], shared["block"], shared["near"], degree, double * filter.rate)
+            term = term_ns(
+                scene, engine.costs(), shared["precision"], shared["block"], shared["near"], degree, double * filter.rate
+            )
             coefficients = (degree + 1) * length * double * filter.rate
             cost = scene.traces * (scene.pixels * term + coefficients * (costs.COEFFICIENT_NS + costs.FILTER_NS * filter.taps))
             if best is None or cost < best[0]:
@@ -141,9 +145,9 @@ def _near_ends(scene: Scene, away: int) -> bool:
 
 
 def _choose_transform(
-    scene: Scene, budget: float, errors: dict[str, float], shared: dict[str, Any], wide: float
+    scene: Scene, budget: float, engine: Engine, errors: dict[str, float], shared: dict[str, Any], wide: float
 ) -> Choices | None:
-    """Numba: coefficients by transforms, with `wide` of whole records in float64."""
+    """Coefficients by transforms, with `wide` of whole records in float64."""
     length, margin, taper, beta = (scene.n_sample, 0, 0, 0.0) if wide else _crop(scene, budget)
     away = bounds.guard(SHARE_WRAP * budget / max(wide, 1.0))
     band = 0.5 if wide or _near_ends(scene, away) else scene.band
@@ -156,7 +160,7 @@ def _choose_transform(
     for degree in bounds.THETA:
         rate = max(1.0, np.pi * band / bounds.theta_limit(degree, left))
         n_fine = scipy.fft.next_fast_len(int(np.ceil(n_fft * rate - 1e-9))) if rate > 1 else n_fft
-        term = term_ns(scene, "numba", precision, shared["block"], shared["near"], degree, n_fine / n_fft)
+        term = term_ns(scene, engine.costs(), precision, shared["block"], shared["near"], degree, n_fine / n_fft)
         cost = scene.traces * (scene.pixels * term + costs.PREPARE_NS * (degree + 1) * n_fine)
         if best is None or cost < best[0]:
             best = (cost, degree, n_fine)
@@ -172,7 +176,7 @@ def _choose_transform(
 
 
 def choose_delay(
-    scene: Scene, budget: float, nodes: int, single: bool, backend: str, share: float = 3 * SHARE_PHASE, whole: bool = False
+    scene: Scene, budget: float, engine: Engine, precision: str, share: float = 3 * SHARE_PHASE, whole: bool = False
 ) -> tuple[int, float, dict[str, float]]:
     """Length of a block and the distance from which its delay polynomial holds; 0 where only exact delays keep to the budget.
 
@@ -183,6 +187,7 @@ def choose_delay(
     offset from the block's centre, up to `turns` at its ends, rounds three times: rms eps turns/2 over the block, which may
     take `share` of the budget.
     """
+    nodes, single = engine.nodes[precision], precision == "float32"
     wave = scene.fc / scene.c
     uneven = 4 * np.pi * wave * scene.uneven  # a pixel off its line is off by as much on both ways
     eps = 2.0**-24 if single else 2.0**-53
@@ -200,7 +205,7 @@ def choose_delay(
         if half > 0:
             scaled = 2 * np.pi * wave * 2 * 1.3 * (2 / (2 * nodes - 1)) * half**nodes / 2 ** (nodes - 1)
             near = max(near, (scaled / (SHARE_PHASE * budget)) ** (1 / (nodes - 1)))
-        cost = near if whole else term_ns(scene, backend, "float32" if single else "float64", count, near, 3, 2.0)
+        cost = near if whole else term_ns(scene, engine.costs(), precision, count, near, 3, 2.0)
         if cost < cheapest:
             cheapest = cost
             best = (count, near, {"rounding": rounding, "delay polynomial": SHARE_PHASE * budget})

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pysas.engine import native
+from pysas.engine import Engine
 from pysas.planning.forest import Forest
 from pysas.planning.scene import Scene
 from pysas.planning.settings import Choices
@@ -32,29 +32,28 @@ COEFFICIENT_NS, FILTER_NS, TRANSFORM_NS = 1.2, 0.05, 5.5
 
 
 def term_ns(
-    scene: Scene, backend: str, precision: str, block: int, near: float, degree: int, oversampling: float, part: float = 1.0
+    scene: Scene, runs: str, precision: str, block: int, near: float, degree: int, oversampling: float, part: float = 1.0
 ) -> float:
     """Predicted cost of a term, ns, the mean of those with a block's delay polynomial and those nearer than `near`.
 
-    `part` : of all terms, where the farthest are not summed.
+    `runs` : the row of the tables here; `part` : of all terms, where the farthest are not summed.
     """
     wide = 1.0 if precision == "float32" else 2.0
-    isa = native.isa_name() if backend == "cpp" else backend
-    term, coefficient, line, exact, gathered = COST_NS[isa]
+    term, coefficient, line, exact, gathered = COST_NS[runs]
     own = wide * (exact + gathered * (degree + 1))
     if not block:
         return own
     each = coefficient * (degree + 1)
-    if backend == "numba":
+    if runs not in LANES:  # its vectors are the compiler's
         padded = 1.0
         each += CACHE_NS * oversampling * (degree + 1)
     else:
-        lanes = LANES[isa] / wide
+        lanes = LANES[runs] / wide
         padded = math.ceil(block / lanes) * lanes / block
         # intervals that a vector of pixels spans, broadside to it
         span = lanes * scene.step * 2 * scene.fs / scene.c * oversampling
         before = mean = 0.0
-        for registers, times in WINDOWS[isa]:
+        for registers, times in WINDOWS[runs]:
             below = 1.0 if math.isinf(registers) else scene.flatter((registers * lanes - 1) / max(span, 1e-9))
             mean += (below - before) * times
             before = below
@@ -75,12 +74,12 @@ def prepare_seconds(scene: Scene, choices: Choices, traces: int | None = None) -
     return (int(np.count_nonzero(scene.heard)) if traces is None else traces) * made * 1e-9
 
 
-def sum_seconds(scene: Scene, choices: Choices, backend: str, part: float = 1.0) -> float:
+def sum_seconds(scene: Scene, choices: Choices, runs: str, part: float = 1.0) -> float:
     """Predicted time of the direct sum, on one thread; of `part` of its terms, the nearest."""
     if part <= 0:
         return 0.0
     c = choices
-    term = term_ns(scene, backend, c.precision, c.block, c.near, c.degree, c.oversampling, part)
+    term = term_ns(scene, runs, c.precision, c.block, c.near, c.degree, c.oversampling, part)
     return part * scene.lit * scene.traces * scene.pixels * term * 1e-9
 
 
@@ -96,25 +95,29 @@ TREE_NS = {
 
 RELIEF = 2.0  # times as long as from their plane: pixels read off it
 
-# s: of a tree that threads do not share, its planning included where C++ grows it; of planning any at all
-TREE_SECONDS = {"cpp": 0.003, "numba": 0.003}
-PLAN_SECONDS = {"cpp": 0.003, "numba": 0.1}
+# s: of a tree that threads do not share, its planning included where an engine has a way of its own for that
+TREE_SECONDS = 0.003
+
+
+def plan_seconds(engine: Engine) -> float:
+    """Of planning any trees at all, s."""
+    return 0.003 if engine.subtree is not None else 0.1
 
 
 def tree_ns(width: int, runs: str) -> tuple[float, float, float, float]:
     """Predicted cost of a leaf's term, of a leaf's node, of a parent's node a child, and of a pixel read, ns.
 
-    `runs` is an instruction set or "numba".
+    `runs` : the row of the table.
     """
     term, node, merge, read = TREE_NS[runs]
     return term, node, merge[0] + merge[1] * width, read[0] + read[1] * width
 
 
-def forest_seconds(forest: Forest, backend: str) -> float:
+def forest_seconds(forest: Forest, runs: str) -> float:
     """Predicted time of trees that are grown, of the direct sum of what they leave, and of preparation, on one thread."""
     work, c = forest.work(), forest.choices
-    term, node, merge, read = tree_ns(forest.layout.taps.width, native.isa_name() if backend == "cpp" else backend)
+    term, node, merge, read = tree_ns(forest.layout.taps.width, runs)
     read *= 1.0 if all(section.flat for section in forest.sections) else RELIEF
     trees = work.leaf_terms * term + work.leaf_nodes * node + work.merged * merge + work.read * read
-    rest = sum_seconds(forest.scene, c, backend, 1 - forest.share)
+    rest = sum_seconds(forest.scene, c, runs, 1 - forest.share)
     return trees * 1e-9 + rest + prepare_seconds(forest.scene, c, work.traces)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import FloatArray
-from pysas.engine import MOVING, native
+from pysas.engine import MOVING, Engine, native
 from pysas.engine.tree import Taps
 from pysas.model.echoes import EDGE
 from pysas.planning import subapertures
@@ -282,13 +282,13 @@ def served(
 
 def make_forest(
     scene: Scene, raster: Raster, image: list[Section], layout: Layout, near: float, relief: float, least: Fraction,
-    whole: bool, compiled: bool,
+    whole: bool, engine: Engine,
 ) -> Forest | None:  # fmt: skip
     """All trees of an image, without choices for the direct sums; None where no pixel can be read from one (`whole`: not all),
     or where trees have more nodes than the sum has terms.
 
     `image` : its sections, which stay as they are; `relief` : relative error that reading pixels off their planes may cost;
-    `least` : nodes per sample at least; `compiled` : whether C++ makes the trees.
+    `least` : nodes per sample at least.
     """
     pieces, centres = _cut(scene, layout.length)
     if not pieces:
@@ -322,7 +322,7 @@ def make_forest(
         return None
     rate = max(least, _nodes_per_sample(scene, layout, 2 / scene.c * scene.band * scene.fs))
     while True:
-        forest, highest = _with_rate(scene, raster, layout, pieces, groups, centres, found, rate, compiled)
+        forest, highest = _with_rate(scene, raster, layout, pieces, groups, centres, found, rate, engine)
         if forest is None or highest <= rate:
             return forest
         rate = highest
@@ -336,7 +336,7 @@ def _nodes_per_sample(scene: Scene, layout: Layout, along: float) -> Fraction:
 def _with_rate(
     scene: Scene, raster: Raster, layout: Layout, pieces: list[npt.NDArray[np.int64]],
     groups: list[tuple[subapertures.Group, FloatArray]], centres: FloatArray,
-    found: list[tuple[Section, list[tuple[BoolArray, BoolArray, Readings | None]]]], rate: Fraction, compiled: bool,
+    found: list[tuple[Section, list[tuple[BoolArray, BoolArray, Readings | None]]]], rate: Fraction, engine: Engine,
 ) -> tuple[Forest | None, Fraction]:  # fmt: skip
     """Trees with `rate` nodes per sample, and how many their bands ask for.
 
@@ -360,7 +360,7 @@ def _with_rate(
             if reads is not None:
                 subtree = subapertures.make_subtree(
                     members, places, layout.fans, scene.trace, centres, medium, section.plane, reads, step, layout.taps, left,
-                    compiled,
+                    engine.subtree,
                 )  # fmt: skip
                 if subtree is None:
                     return None, rate

@@ -7,11 +7,10 @@ import numpy.typing as npt
 
 from pysas._checks import FloatArray
 from pysas.engine import BLOCK
-from pysas.engine.summation import Tile
+from pysas.engine.survey import Tile
+from pysas.engine.traces import TILE_ROWS
 from pysas.model.grid import Grid
 from pysas.planning.scene import Scene
-
-ROWS = 32  # lines of a tile
 
 
 class Raster:
@@ -48,7 +47,7 @@ class Raster:
     def tiles(self) -> list[Tile]:
         """All tiles, near neighbours first."""
         height, width = self.shape
-        rows, columns = (ROWS, self.count) if self.straight else (1, ROWS * self.count)
+        rows, columns = (TILE_ROWS, self.count) if self.straight else (1, TILE_ROWS * self.count)
         return [
             Tile(top, min(top + rows, height), left, min(left + columns, width))
             for top in range(0, height, rows)

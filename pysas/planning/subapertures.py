@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pysas._checks import FloatArray
-from pysas.engine import subtrees
+from pysas.engine.interface import Subtrees
 from pysas.engine.traces import Records
 from pysas.engine.tree import IntArray, SubImages, Taps
 
@@ -362,17 +362,17 @@ class Subtree:
 
 def make_subtree(
     members: Group, along: FloatArray, fans: tuple[int, ...], trace: Records, centres: FloatArray, medium: Medium,
-    plane: float, reads: Readings, step: float, taps: Taps, left: int, compiled: bool = False,
+    plane: float, reads: Readings, step: float, taps: Taps, left: int, by: Subtrees | None,
 ) -> Subtree | None:  # fmt: skip
-    """The tree below one of the longest groups, for what is read from it; `compiled` by C++, an order of magnitude faster.
+    """The tree below one of the longest groups, for what is read from it; `by` an engine's own way, if it has one.
 
     None where it would have more than about `left` nodes.
     """
     angle, bearings, grounds = reads.direction, reads.bearings, reads.grounds
-    if compiled:
+    if by is not None:
         sound = np.array([medium.c, medium.fc, medium.bandwidth, medium.delay])
         ends = np.concatenate([bearings, grounds], axis=1)
-        found = subtrees.make(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
+        found = by(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
         return None if found is None else Subtree(*found)
     slants = slant(grounds, members.centre[2] - plane)
     root = _tree(members, along, fans, trace, centres, medium, plane, angle, bearings, slants, step, taps, left)

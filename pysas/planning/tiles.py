@@ -12,11 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import FloatArray
+from pysas.engine.traces import TILE_ROWS
 from pysas.planning import subapertures
 from pysas.planning.raster import Raster
 from pysas.planning.subapertures import BoolArray, Subtree
-
-TILE_ROWS = 32
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import FloatArray
-from pysas.engine.arcs import arcs as engine_arcs
+from pysas.engine import Engine
 from pysas.model.grid import Grid
 from pysas.planning.scene import Scene
 
 LEAST = 1024  # places a lattice may have however small the image is
 PLACES = 100  # pixels a place: what a place costs is about 2/3 of theirs then, seldom needed
 BYTES = 2**28  # of weights at a time
-ARC_NS = {"cpp": 40.0, "numba": 60.0}  # of a pixel's view where each has its own
+ARC_NS = 40.0  # of a pixel's view where each has its own
 NODES = 5  # of polynomials along lines, evenly spaced
 ALONG, BETWEEN = np.linspace(-1, 1, NODES), 0.8
 CHECKED = 32  # pixels that the error is measured at
@@ -69,7 +69,7 @@ class Lattice:
 
 
 def lattice(
-    scene: Scene, grid: Grid, error: float, beyond: float, stretch: float, threads: int, backend: str, most: float = 0.0
+    scene: Scene, grid: Grid, error: float, beyond: float, stretch: float, threads: int, engine: Engine, most: float = 0.0
 ) -> Lattice | None:
     """A lattice over the image and `beyond` m around, whose weights are within `error` where that many places can be had.
 
@@ -82,7 +82,7 @@ def lattice(
     height = float((scene.bottom + scene.top) / 2)
     limit = int(min(max(LEAST, scene.pixels / PLACES), max(16, BYTES / (4 * scene.traces))))
     points = np.concatenate([_sample(scene, grid), _edges(low, high, height)])
-    exact, patterns = arcs(scene, points, threads, backend)
+    exact, patterns = arcs(scene, points, threads, engine)
     if patterns[0] == 0 or np.any(patterns != patterns[0]):
         return None
     mean = np.maximum(exact.mean(axis=1, keepdims=True), 1e-300)
@@ -95,7 +95,7 @@ def lattice(
         axes = [low[k] + spacing[k] * np.arange(-1, cells[k] + 2) for k in (0, 1)]
         y, x = np.meshgrid(axes[1], axes[0], indexing="ij")
         places = np.stack([x, y, np.full_like(x, height)], axis=-1)
-        value, found = arcs(scene, places.reshape(-1, 3), threads, backend)
+        value, found = arcs(scene, places.reshape(-1, 3), threads, engine)
         alike = found.reshape(x.shape) == patterns[0]
         if not alike[1:-1, 1:-1].all():
             return None
@@ -114,9 +114,9 @@ def lattice(
     along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0])
     room = float(np.min((high - low)[along != 0] / np.abs(along)[along != 0]))
     share = max(error, wrong)
-    longest, bent = _held(scene, points[::FEW], (low, high), along, min(stretch, room), share, _quartic, threads, backend)
+    longest, bent = _held(scene, points[::FEW], (low, high), along, min(stretch, room), share, _quartic, threads, engine)
     vector = min(stretch * (SHORTEST - 1) / (LONGEST - 1), room)
-    vector, curved = _held(scene, points[::FEW], (low, high), along, vector, share, _quadratic, threads, backend)
+    vector, curved = _held(scene, points[::FEW], (low, high), along, vector, share, _quadratic, threads, engine)
     return Lattice(lattice.value, np.append(lattice.axes, longest), vector, math.hypot(wrong, bent, curved), beyond)
 
 
@@ -129,7 +129,7 @@ def _held(
     share: float,
     what: Callable[[FloatArray], FloatArray],
     threads: int,
-    backend: str,
+    engine: Engine,
 ) -> tuple[float, float]:
     """How long lines through points may be, at most `length`, for `what` their arcs at NODES and a last place are wrong by
     to stay within `share` of their mean, and that error."""
@@ -139,7 +139,7 @@ def _held(
         room = np.maximum(size / 2 - np.abs(half[:2]), 0)
         centres = points.copy()
         centres[:, :2] = np.clip(points[:, :2], middle - room, middle + room)
-        value = np.stack([arcs(scene, centres + x * half, threads, backend)[0] for x in (*ALONG, BETWEEN)])
+        value = np.stack([arcs(scene, centres + x * half, threads, engine)[0] for x in (*ALONG, BETWEEN)])
         wrong = _rms(what(value) / value.mean(axis=(0, 2))[:, None])
         if wrong <= share or length < scene.step:
             return length, wrong
@@ -178,18 +178,18 @@ def read(lattice: Lattice, places: FloatArray) -> npt.NDArray[np.float32]:
     return out
 
 
-def arcs(scene: Scene, points: FloatArray, threads: int = 1, backend: str = "numba") -> tuple[FloatArray, Patterns]:
+def arcs(scene: Scene, points: FloatArray, threads: int, engine: Engine) -> tuple[FloatArray, Patterns]:
     """Arcs of view angle (point, trace) that the traces stand for at points about the scene's centre, and the views'
-    patterns there; see `engine.arcs.arcs`."""
+    patterns there; see `Engine.arcs`."""
     out = np.empty((len(points), scene.traces))
-    return out, fill(scene, points, np.arange(scene.traces), out, threads, backend)
+    return out, fill(scene, points, np.arange(scene.traces), out, threads, engine)
 
 
 def fill(
-    scene: Scene, points: FloatArray, order: npt.NDArray[np.int64], out: npt.NDArray[Any], threads: int, backend: str
+    scene: Scene, points: FloatArray, order: npt.NDArray[np.int64], out: npt.NDArray[Any], threads: int, engine: Engine
 ) -> Patterns:
     """Arcs of traces `order` in `out` (point or more, trace), of its own type, as `arcs`."""
-    return engine_arcs(backend, scene.trace, scene.channels, scene.cos_beam, points, order, out, threads)
+    return engine.arcs(scene.trace, scene.channels, scene.cos_beam, points, order, out, threads)
 
 
 def _rms(values: FloatArray) -> float:
