@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks
-from pysas._checks import ComplexArray
+from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import BLOCK
 from pysas.engine.survey import Survey, Totals
 from pysas.engine.traces import MODEL, record
@@ -31,72 +31,27 @@ AT_ONCE = 2**16  # pixels with weights of their own, at most
 @_checks.usual_errors
 def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None) -> Image:
     """Carry out `plan` on `data`; what `Plan.__call__` does."""
-    scene, choices, grid, asked = plan.scene, plan.choices, plan.grid, plan
-    samples = _checks.samples("data", data, (2, 3)).view()  # whose shape nobody else can set
-    if samples.shape != plan.data_shape:
-        raise ValueError(f"data: expected the planned shape {plan.data_shape}, found {samples.shape}")
-    if samples.dtype.itemsize != plan.dtype.itemsize:
-        raise TypeError(f"data: expected {plan.dtype}, found {samples.dtype}")
-    _checks.callback("progress", progress)
-    _checks.target(out, grid.shape, plan.dtype)
-    _checks.apart(out, samples)
-    notes = []
-
-    start = _starts(plan)
-    begin, end = (np.clip(at, 0, scene.n_sample) for at in (start - choices.taps, start + choices.length + choices.taps))
-    peaks = plan.engine.peaks(samples, begin, end, plan.threads).reshape(-1)
+    scene, grid, asked = plan.scene, plan.grid, plan
+    samples = _samples(plan, data, out, progress)
+    peaks = _peaks(plan, samples)
     finite = np.isfinite(peaks)
-    if not finite.all():
-        bad = np.flatnonzero(~finite)
-        if plan.nan == "raise":
-            ping, channel = divmod(int(bad[0]), scene.channels)
-            raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
-        notes.append(f"{len(bad)} of {scene.traces} traces left out: non-finite samples")
+    notes = [] if finite.all() else [_left_out(plan, finite)]
     used = scene.heard & finite & (scene.weights != 0)
     exponents = amplitudes.largest(scene.weights[used], peaks[used])
     scale = amplitudes.scale_of(exponents)
-    order = np.flatnonzero(used)
     plan = levels.fit(plan, samples, used, scale)
-    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
-    image[...] = 0
-    choices = plan.choices
     if plan.why_direct:
         notes.insert(0, f"summed directly: {plan.why_direct}")
     notes += [] if plan is asked else levels.notes(plan)
-
-    totals = Totals(0.0, 0.0, 0)
-    isa = plan.engine.isa()
-    if order.size:
-        raster, reader = plan.raster, plan.reader
-        trigonometry = bounds.trigonometry(choices.trigonometry)[0]
-        flat = None if plan.wide else _as_lines(image, raster.shape)
-        target = np.zeros(raster.shape, dtype=np.complex128 if plan.wide else plan.dtype) if flat is None else flat
-        real = np.dtype(choices.precision)
-        if plan.forest is not None:
-            totals = factorised.accumulate(
-                plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
-                isa, progress,
-            )  # fmt: skip
-        else:
-
-            def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
-                return plan.engine.accumulate(
-                    samples, order, survey, reader, scale, raster, trigonometry, real, choices.batch, target, plan.threads, tick
-                )
-
-            survey = _survey(plan, order)
-            totals = (
-                _add_each(plan, order, survey, target, add, progress) if scene.each else add(raster, survey, target, progress)
-            )
+    image = np.zeros(grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
+    image[...] = 0
+    totals, said = Totals(0.0, 0.0, 0), []
+    if used.any():
+        flat = None if plan.wide else _as_lines(image, plan.raster.shape)
+        target = np.zeros(plan.raster.shape, dtype=np.complex128 if plan.wide else plan.dtype) if flat is None else flat
+        totals = _add(plan, samples, used, scale, target, progress)
         target = target.astype(plan.dtype, copy=False)
-        if real == np.float32 and amplitudes.wide(exponents):
-            if max(np.abs(target.real).max(), np.abs(target.imag).max()) < amplitudes.LOST:
-                worst = divmod(int(order[np.argmax(exponents)]), scene.channels)
-                notes.append(f"the image is lost beside ping {worst[0]}, channel {worst[1]}: leave it out by weight 0")
-                warnings.warn(notes[-1], stacklevel=5)
-        if small := amplitudes.restore(target, scale, order.size, plan.tol):
-            notes.append(small)
-            warnings.warn(small, stacklevel=5)
+        said = _restored(plan, target, np.flatnonzero(used), exponents, scale)
         if flat is None:
             image[...] = target.reshape(grid.shape)
         if grid.mask is not None:
@@ -104,18 +59,90 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     if progress is not None:
         progress(1.0)
     if totals.terms == 0:
-        notes.append(scene.why_empty(finite) or scene.why_dark())
-        if not plan.silent:  # or the plan has warned
-            warnings.warn(notes[-1], stacklevel=5)
-    everything = scene.traces * grid.size
-    report = Report(
-        method=plan.method, tol=plan.tol, backend=plan.backend, isa=isa, threads=plan.threads,
+        said.append(scene.why_empty(finite) or scene.why_dark())
+    for text in said:
+        if totals.terms or not plan.silent:  # or the plan has warned
+            warnings.warn(text, stacklevel=5)
+    return Image(image, grid, _report(plan, totals, notes + said), scene.fc, scene.c)
+
+
+def _samples(
+    plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None
+) -> ComplexArray:
+    """The data as an array, once they and where their image goes are as the plan has them."""
+    samples = _checks.samples("data", data, (2, 3)).view()  # whose shape nobody else can set
+    if samples.shape != plan.data_shape:
+        raise ValueError(f"data: expected the planned shape {plan.data_shape}, found {samples.shape}")
+    if samples.dtype.itemsize != plan.dtype.itemsize:
+        raise TypeError(f"data: expected {plan.dtype}, found {samples.dtype}")
+    _checks.callback("progress", progress)
+    _checks.target(out, plan.grid.shape, plan.dtype)
+    _checks.apart(out, samples)
+    return samples
+
+
+def _peaks(plan: Plan, samples: ComplexArray) -> FloatArray:
+    """Of what is read of every trace; not finite where the trace is not."""
+    reach, start = plan.choices.taps, _starts(plan)
+    begin, end = (np.clip(at, 0, plan.scene.n_sample) for at in (start - reach, start + plan.choices.length + reach))
+    return plan.engine.peaks(samples, begin, end, plan.threads).reshape(-1)
+
+
+def _left_out(plan: Plan, finite: npt.NDArray[np.bool_]) -> str:
+    """How many traces hold samples that are not finite; an error where the plan does not mask them."""
+    bad = np.flatnonzero(~finite)
+    if plan.nan == "raise":
+        ping, channel = divmod(int(bad[0]), plan.scene.channels)
+        raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
+    return f"{len(bad)} of {plan.scene.traces} traces left out: non-finite samples"
+
+
+def _add(
+    plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float, target: ComplexArray,
+    progress: Callable[[float], None] | None,
+) -> Totals:  # fmt: skip
+    """Add all traces `used` to `target` (line, pixel), which is left multiplied by `scale`."""
+    choices, order = plan.choices, np.flatnonzero(used)
+    trigonometry = bounds.trigonometry(choices.trigonometry)[0]
+    if plan.forest is not None:
+        return factorised.accumulate(
+            plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
+            plan.engine.isa(), progress,
+        )  # fmt: skip
+
+    def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
+        return plan.engine.accumulate(
+            samples, order, survey, plan.reader, scale, raster, trigonometry, np.dtype(choices.precision), choices.batch,
+            target, plan.threads, tick,
+        )  # fmt: skip
+
+    survey = _survey(plan, order)
+    if plan.scene.each:
+        return _add_each(plan, order, survey, target, add, progress)
+    return add(plan.raster, survey, target, progress)
+
+
+def _restored(
+    plan: Plan, target: ComplexArray, order: npt.NDArray[np.int64], exponents: npt.NDArray[np.int64], scale: float
+) -> list[str]:
+    """Give an image its scale back; what a person should know of numbers too far apart or too small."""
+    said = []
+    if plan.choices.precision == "float32" and amplitudes.wide(exponents):
+        if max(np.abs(target.real).max(), np.abs(target.imag).max()) < amplitudes.LOST:
+            worst = divmod(int(order[np.argmax(exponents)]), plan.scene.channels)
+            said.append(f"the image is lost beside ping {worst[0]}, channel {worst[1]}: leave it out by weight 0")
+    small = amplitudes.restore(target, scale, order.size, plan.tol)
+    return said + ([small] if small else [])
+
+
+def _report(plan: Plan, totals: Totals, notes: list[str]) -> Report:
+    return Report(
+        method=plan.method, tol=plan.tol, backend=plan.backend, isa=plan.engine.isa(), threads=plan.threads,
         prepare_seconds=totals.prepare_seconds, sum_seconds=totals.sum_seconds, terms=totals.terms,
-        share_left_out=1 - totals.terms / everything,
-        factorised_share=plan.forest.share if plan.forest is not None else 0.0, predicted_error=choices.predicted_error,
-        choices=dict(plan.reported), notes=tuple(notes),
+        share_left_out=1 - totals.terms / (plan.scene.traces * plan.grid.size),
+        factorised_share=plan.forest.share if plan.forest is not None else 0.0,
+        predicted_error=plan.choices.predicted_error, choices=dict(plan.reported), notes=tuple(notes),
     )  # fmt: skip
-    return Image(image, grid, report, scene.fc, scene.c)
 
 
 def _partly(progress: Callable[[float], None] | None, done: float, more: float) -> Callable[[float], None] | None:

@@ -15,47 +15,31 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray, InternalError
-from pysas.engine.steps import Setting, Stack
-from pysas.engine.survey import Totals
+from pysas.engine.steps import Lines, Setting, Stack, Steps
+from pysas.engine.survey import Survey, Terms, Totals
 from pysas.engine.traces import TILE_ROWS
 from pysas.engine.tree import SubImages
 from pysas.imaging.plans import Plan
 from pysas.planning.forest import batches
 from pysas.planning.raster import Raster
-from pysas.planning.tiles import Section, pixels_of
+from pysas.planning.tiles import Section, Tree, pixels_of
 
 
-def accumulate(
-    plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Any], scale: float,
-    trigonometry: tuple[tuple[float, ...], tuple[float, ...]], carrier: tuple[tuple[float, ...], tuple[float, ...]],
-    image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
-) -> Totals:  # fmt: skip
-    """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
-    forest, choices, threads = plan.forest, plan.choices, plan.threads
-    if forest is None:
-        raise InternalError("a plan without trees was to be summed through them")
-    raster, scene = forest.raster, forest.scene
-    traces = samples if samples.ndim == 3 else samples[:, None, :]
-    stores: dict[int, Any] = {}
-    prepared = summed = 0.0
-    terms = 0
-    trees = [(section, t) for section in forest.sections for t in section.trees]
-    whole = sum(len(t.order) for _, t in trees)
-    longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
-    setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, threads, isa)
-    engine = plan.engine.steps(setting, plan.reader, longest)
-    done = 0
+class _Levels:
+    """Sub-images of one tree after another: of each level above the leaves there is room for one alone."""
 
-    def store(level: int, size: int) -> Any:
-        if level not in stores or stores[level].size < size:
-            stores[level] = np.zeros(size, dtype=np.float32)
-        return stores[level]
+    def __init__(self, steps: Steps) -> None:
+        self.steps = steps
+        self.stores: dict[int, npt.NDArray[np.float32]] = {}
 
-    def rise(levels: tuple[SubImages, ...], below: int, begin: int, end: int) -> None:
-        """Merge complete sub-images [begin, end) of a level into their parents, and parents that this completes into theirs.
+    def room(self, level: int, size: int) -> npt.NDArray[np.float32]:
+        """For `size` reals of sub-images of a level."""
+        if level not in self.stores or self.stores[level].size < size:
+            self.stores[level] = np.zeros(size, dtype=np.float32)
+        return self.stores[level]
 
-        So each level above the leaves needs room for one sub-image alone.
-        """
+    def merge(self, levels: tuple[SubImages, ...], below: int, begin: int, end: int) -> None:
+        """Complete sub-images [begin, end) of a level into their parents, and parents that this completes into theirs."""
         span, whole_from = levels[below + 1].span, begin
         while begin < end:
             parent = int(np.searchsorted(span, begin, side="right")) - 1
@@ -63,27 +47,44 @@ def accumulate(
             children, level = levels[below].part(begin, stop), levels[below + 1].part(parent, parent + 1)
             last = stop == span[parent + 1]
             children.shape[:, 3] += levels[below].shape[begin, 3] - levels[below].shape[whole_from, 3]
-            engine.merge(
-                children, stores[below], level, store(below + 1, level.size), begin > span[parent], last,
+            self.steps.merge(
+                children, self.stores[below], level, self.room(below + 1, level.size), begin > span[parent], last,
                 last and below + 2 == len(levels),
             )  # fmt: skip
             if last and below + 2 < len(levels):
-                rise(levels, below + 1, parent, parent + 1)
+                self.merge(levels, below + 1, parent, parent + 1)
             begin = stop
 
+
+def accumulate(
+    plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Survey], scale: float,
+    trigonometry: Terms, carrier: Terms, image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
+) -> Totals:  # fmt: skip
+    """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
+    forest, choices = plan.forest, plan.choices
+    if forest is None:
+        raise InternalError("a plan without trees was to be summed through them")
+    raster, scene = forest.raster, forest.scene
+    traces = samples if samples.ndim == 3 else samples[:, None, :]
+    trees = [(section, t) for section in forest.sections for t in section.trees]
+    whole = sum(len(t.order) for _, t in trees)
+    longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
+    setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, plan.threads, isa)
+    steps = plan.engine.steps(setting, plan.reader, longest)
+    sub_images = _Levels(steps)
+    prepared = summed = 0.0
+    terms = done = 0
     for section, t in trees:
-        own = slice(section.begin, section.end)
-        part_of = image[own]
-        lines = (raster.first[own], raster.step[own]) if raster.straight else None
+        part_of = image[section.begin : section.end]
         direct = pixels_of(t.direct, section, raster.count) if t.direct.any() else None
-        survey = survey_of(t.order)
-        kept = used[t.order]
+        survey, kept = survey_of(t.order), used[t.order]
         if not kept.all():
             survey = replace(survey, weights=np.where(kept, survey.weights, 0))
+        levels = () if t.subtree is None else t.subtree.levels
         for begin, end, leaf0, leaf1 in batches(t, choices.batch):
             clock = time.perf_counter()
             batch = survey.part(begin, end)
-            engine.prepare(traces, t.order[begin:end], batch, kept[begin:end], scale)
+            steps.prepare(traces, t.order[begin:end], batch, kept[begin:end], scale)
             now = time.perf_counter()
             prepared += now - clock
 
@@ -91,41 +92,60 @@ def accumulate(
                 if progress is not None:
                     progress((done + share * more) / whole)
 
-            if t.subtree is not None:
-                levels = t.subtree.levels
+            if levels:
                 level = levels[0].part(leaf0, leaf1)
-                engine.leaves(batch, level, store(0, level.size), choices.errors["drift"], len(levels) == 1, tick)
+                steps.leaves(batch, level, sub_images.room(0, level.size), choices.errors["drift"], len(levels) == 1, tick)
                 if len(levels) > 1:
-                    rise(levels, 0, leaf0, leaf1)
+                    sub_images.merge(levels, 0, leaf0, leaf1)
             if direct is not None:
-                if lines is not None:
-                    terms += engine.direct(batch, lines, None, direct, raster.count, part_of, tick)
-                for row, last in () if lines is not None else _bands(section, direct):
-                    points = _points(raster, section, row, last).reshape(1, -1, 3)
-                    some = np.zeros((1, points.shape[1]), dtype=part_of.dtype)
-                    terms += engine.direct(batch, None, points, direct[row:last].reshape(1, -1), raster.count, some, tick)
-                    part_of[row:last] += some.reshape(last - row, -1)
+                terms += _direct(steps, raster, section, direct, batch, part_of, tick)
             summed += time.perf_counter() - now
         done += len(t.order)
-        if t.subtree is None:
-            continue
-        now = time.perf_counter()
-        levels = t.subtree.levels
-        top = levels[-1]
-        if section.flat and lines is not None:
-            engine.read(top, stores[len(levels) - 1], lines, None, None, section.mask, raster.count, t.read, part_of)
-        else:
-            stack = Stack(t.group.axis, section.planes, section.number)
-            tiles = t.read.reshape(-1, -(-section.width // raster.count))
-            for row, last in _bands(section, pixels_of(t.read, section, raster.count)):
-                part = None if section.mask is None else section.mask[row:last]
-                points, here = _points(raster, section, row, last), tiles[row // TILE_ROWS]
-                engine.read(top, stores[len(levels) - 1], None, points, stack, part, raster.count, here, part_of[row:last])
-        terms += 0 if section.number else int(np.count_nonzero(kept)) * int(section.pixels[t.read].sum())
-        summed += time.perf_counter() - now
-        if progress is not None:
-            progress(done / whole)
+        if levels:
+            now = time.perf_counter()
+            _read(steps, raster, section, t, levels[-1], sub_images.stores[len(levels) - 1], part_of)
+            terms += 0 if section.number else int(np.count_nonzero(kept)) * int(section.pixels[t.read].sum())
+            summed += time.perf_counter() - now
+            if progress is not None:
+                progress(done / whole)
     return Totals(prepared, summed, terms)
+
+
+def _direct(
+    steps: Steps, raster: Raster, section: Section, pixels: npt.NDArray[np.bool_], batch: Survey, image: ComplexArray,
+    tick: Callable[[float], None],
+) -> int:  # fmt: skip
+    """Add prepared traces at `pixels` of a section that are not read from trees; how many terms."""
+    if raster.straight:
+        return steps.direct(batch, _lines(raster, section), None, pixels, raster.count, image, tick)
+    terms = 0
+    for row, last in _bands(section, pixels):
+        points = _points(raster, section, row, last).reshape(1, -1, 3)
+        some = np.zeros((1, points.shape[1]), dtype=image.dtype)
+        terms += steps.direct(batch, None, points, pixels[row:last].reshape(1, -1), raster.count, some, tick)
+        image[row:last] += some.reshape(last - row, -1)
+    return terms
+
+
+def _read(
+    steps: Steps, raster: Raster, section: Section, t: Tree, top: SubImages, store: npt.NDArray[np.float32],
+    image: ComplexArray,
+) -> None:  # fmt: skip
+    """Add a tree's topmost sub-image at the pixels that are read from it."""
+    if section.flat and raster.straight:
+        steps.read(top, store, _lines(raster, section), None, None, section.mask, raster.count, t.read, image)
+        return
+    stack = Stack(t.group.axis, section.planes, section.number)
+    tiles = t.read.reshape(-1, -(-section.width // raster.count))
+    for row, last in _bands(section, pixels_of(t.read, section, raster.count)):
+        part = None if section.mask is None else section.mask[row:last]
+        points, here = _points(raster, section, row, last), tiles[row // TILE_ROWS]
+        steps.read(top, store, None, points, stack, part, raster.count, here, image[row:last])
+
+
+def _lines(raster: Raster, section: Section) -> Lines:
+    own = slice(section.begin, section.end)
+    return raster.first[own], raster.step[own]
 
 
 def _bands(section: Section, pixels: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
