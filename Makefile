@@ -31,6 +31,7 @@ define core_program
 		$$(sed -n "s/^$$name *|[^|]*|\([^|]*\)|.*/\1/p" csrc/isa/sets.txt) -c {} -o build/$(2)/$$name.o'
 	$(1) build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
 endef
+SETS = $(shell sed -n "s/ *|.*//p" csrc/isa/sets.txt | grep -v "\#")
 STRICT = -std=c++17 -g -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra -Werror -Icsrc -Icsrc/include
 
 sanitize:
@@ -38,7 +39,7 @@ sanitize:
 	$(CXX) $(STRICT) -O1 -Wpedantic -Wconversion -fsanitize=address,undefined -fno-sanitize-recover=all \
 		csrc/tests/test_cpu.cpp csrc/core/cpu.cpp -o build/sanitize/test_cpu
 	build/sanitize/test_cpu
-	$(call core_program,$(CXX) -O0 -fsanitize=address$(comma)undefined -fno-sanitize-recover=all,sanitize,test_core,baseline avx2 avx512)
+	$(call core_program,$(CXX) -O0 -fsanitize=address$(comma)undefined -fno-sanitize-recover=all,sanitize,test_core,baseline $(SETS))
 	build/sanitize/test_core
 
 tsan:

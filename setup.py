@@ -17,7 +17,8 @@ from setuptools import setup
 
 STRICT = os.environ.get("PYSAS_WERROR") == "1"
 WINDOWS = sys.platform == "win32"
-MACHINE = "x86" if platform.machine().lower() in ("x86_64", "amd64", "i386", "i686") else platform.machine().lower()
+NAMES = {"x86_64": "x86", "amd64": "x86", "i386": "x86", "i686": "x86", "aarch64": "arm64"}
+MACHINE = NAMES.get(platform.machine().lower(), platform.machine().lower())
 
 if WINDOWS:
     FLAGS = ["/O2", "/W4", "/std:c++17", "/EHsc"] + ["/WX"] * STRICT
@@ -28,7 +29,11 @@ else:
     LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
 
 CORE = sorted(str(path) for path in Path("csrc/core").glob("*.cpp"))
-TABLE = [line.split("|") for line in Path("csrc/isa/sets.txt").read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+TABLE = [
+    line.split("|")
+    for line in Path("csrc/isa/sets.txt").read_text(encoding="utf-8").splitlines()
+    if line.strip() and line[0] != "#"
+]
 SETS = {row[0].strip(): row[3 if WINDOWS else 2].split() for row in TABLE if row[1].strip() == MACHINE}
 MACROS = [("PYSAS_SETS", "".join(f"PYSAS_SET({name})" for name in SETS))]
 

@@ -4,10 +4,13 @@ Names are loaded when they are first used: a program pays for no module that it 
 """
 
 import importlib
-from typing import TYPE_CHECKING, Any
+import threading
+from typing import TYPE_CHECKING
+
+import numpy as _numpy  # noqa: F401  by one thread, before names are asked for by several
 
 if TYPE_CHECKING:
-    from pysas import circular, comparison, metrics, plot, reference, tracks
+    from pysas import circular, comparison, metrics, plot, reference, simulation, tracks
     from pysas.engine import get_include, get_library, show_config
     from pysas.formats.io import load, save
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
@@ -16,10 +19,9 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
-    from pysas.signal import simulation
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
-    from pysas.signal.simulation import simulate
+    from pysas.simulation import simulate
 
 __version__ = "0.1.0"
 
@@ -29,7 +31,7 @@ __all__ = [
     "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
-# where those are that are no modules under their own name
+# where those are that are no modules
 _MODULES = {
     "engine": ("get_include", "get_library", "show_config"),
     "formats.io": ("load", "save"),
@@ -41,18 +43,21 @@ _MODULES = {
     "model.pulse": ("LFM",),
     "signal.compression": ("compress",),
     "signal.phase_history": ("from_phase_history",),
-    "signal.simulation": ("simulate", "simulation"),
+    "simulation": ("simulate",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+_LOADING = threading.RLock()
 
+if not TYPE_CHECKING:  # a checker shall know of no other names
 
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
-    found = globals()[name] = getattr(module, name, module)
-    return found
+    def __getattr__(name):
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        with _LOADING:
+            module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
+            globals()[name] = getattr(module, name) if name in _MODULE_OF else module
+        return globals()[name]
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, "__version__"])
+    return sorted({*globals(), *__all__})

@@ -98,7 +98,7 @@ def masked_arguments():
     yield "data", lambda: pysas.plan(ECHOES, PLANE)(masked(ECHOES.data))
     yield "data", lambda: next(pysas.plan(ECHOES, PLANE).stream([masked(ECHOES.data)]))
     yield "data", lambda: pysas.backproject_arrays(masked(ECHOES.data), np.zeros((1, 3)), fs=1, fc=1, tx=t, rx=ECHOES.rx)
-    yield "data", lambda: pysas.Image(masked(np.ones(PLANE.shape, complex)), PLANE, pysas.model.image.Report("x"), 1e5, 1500.0)
+    yield "data", lambda: pysas.Image(masked(np.ones(PLANE.shape, complex)), PLANE, pysas.Report("x"), 1e5, 1500.0)
     points = np.array([[0.0, 20, 0]])
     pulse = pysas.LFM(1e5, 2e4, 1e-3)
     yield "points", lambda: pysas.simulate(masked(points), [1], pulse, tx=t, rx=ECHOES.rx, fs=4e4, duration=0.05)

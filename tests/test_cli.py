@@ -11,7 +11,7 @@ import pytest
 import pysas
 from pysas import cli
 from pysas.cli import demo_scene
-from pysas.model.framing import default_grid
+from pysas.planning.framing import default_grid
 
 
 def run(*arguments, capsys):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas.model.framing import default_grid, span
+from pysas.planning.framing import default_grid, span
 
 C, FS, FC, BAND = 1500.0, 40e3, 100e3, 20e3
 

@@ -77,7 +77,6 @@ def test_leaving_while_daemon_threads_compute_arcs_is_quiet():
 def test_what_is_called_at_exit_may_still_image():
     code = """
         import atexit
-        pysas.backproject  # loaded before: Python starts no pool of threads any more when it ends
         atexit.register(lambda: print(pysas.backproject(echoes, tiny, threads=2).report.terms > 0))
         pysas._leaving.atexit.unregister(pysas._leaving._leave)
         atexit.register(pysas._leaving._leave)  # last registered, first called

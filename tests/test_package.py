@@ -89,10 +89,25 @@ def test_import_loads_no_optional_library() -> None:
 
 
 def test_import_loads_nothing_that_is_not_asked_for() -> None:
-    """NumPy neither: names are loaded when they are used."""
-    code = "import sys, pysas; print(*{'numpy', 'scipy', 'numba'} & set(sys.modules)); pysas.Grid, pysas.reference"
+    """Names are loaded when they are used."""
+    code = "import sys, pysas; print(*{'scipy', 'numba', 'matplotlib'} & set(sys.modules)); pysas.Grid, pysas.reference"
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert run.stdout.split() == []
+
+
+def test_names_may_be_asked_for_by_several_threads_at_once() -> None:
+    code = (
+        "import sys, threading, pysas; sys.setswitchinterval(1e-6); failed = []\n"
+        "def ask(name):\n"
+        "    try: getattr(pysas, name)\n"
+        "    except BaseException as error: failed.append((name, error))\n"
+        "threads = [threading.Thread(target=ask, args=(name,)) for name in pysas.__all__]\n"
+        "for thread in threads: thread.start()\n"
+        "for thread in threads: thread.join()\n"
+        "print(failed)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout.strip() == "[]"
 
 
 @pytest.mark.cpp

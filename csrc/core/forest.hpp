@@ -1,5 +1,5 @@
 // A tree of sub-apertures for each of the longest groups of traces, the tiles of the image read from it, and those
-// summed directly. The same as pysas/imaging/factorised.py makes; choices are made by the caller (core/layouts.hpp).
+// summed directly. The same as pysas/planning/forest.py makes; choices are made by the caller (core/layouts.hpp).
 #pragma once
 
 #include <cstdint>

@@ -50,7 +50,7 @@ double tree_error(const TapDesign& taps, std::size_t stages) {
 // What costs depend on: some of the track and some of the image, seen from above.
 class Estimate {
   public:
-    Estimate(const Geometry& geometry, const Raster& raster, const char* isa) : geometry_(geometry), frame_(raster) {
+    Estimate(const Geometry& geometry, const Raster& raster, const char* isa) : geometry_(geometry), raster_(raster) {
         for (const Costs& set : costs) {
             if (std::strcmp(set.isa, isa) == 0) costs_ = set;
         }
@@ -151,11 +151,11 @@ class Estimate {
         return 0.5 * (point(t.tx) + point(t.rx) + geometry_.delay * point(t.velocity));
     }
     Point pixel(std::int64_t line, double column) const {
-        return point(frame_.first + 3 * line) + column * point(frame_.step + 3 * line);
+        return point(raster_.first + 3 * line) + column * point(raster_.step + 3 * line);
     }
 
     const Geometry& geometry_;
-    const Raster& frame_;
+    const Raster& raster_;
     Costs costs_ = costs[0];
     double pixels_ = 0, path_ = 0, line_ = 0, rows_ = 0;
     Point centre_;

@@ -283,13 +283,13 @@ bool Plan::choose_filter(double tol, const Shares& shares, const std::vector<std
     const bool ends = lowest_ < away || highest_ > samples_ - 1 - away;
     const double most = shares.interpolation * tol;
     int least = 8, longest = 400;
-    if (ends) {
-        // how long W's response must be hardly depends on the polynomials: ask once, with ones that are no limit
-        least = longest = design(band_, narrow_ ? 7 : 9, 2, 1, most / 2, 64, 2048, true).taps;
-    }
-    double cheapest = std::numeric_limits<double>::infinity();
     const std::vector<int> single(std::begin(Sizes<float>::degrees), std::end(Sizes<float>::degrees));
     const std::vector<int> twice(std::begin(Sizes<double>::degrees), std::end(Sizes<double>::degrees));
+    if (ends) {
+        // how long W's response must be hardly depends on the polynomials: ask once, with ones that are no limit
+        least = longest = design(band_, narrow_ ? single.back() : twice.back(), 2, 1, most / 2, 64, 2048, true).taps;
+    }
+    double cheapest = std::numeric_limits<double>::infinity();
     for (const int degree : narrow_ ? single : twice) {
         for (const auto& rate : rates) {
             const double theta = pi * (ends ? 0.5 : band_) * rate.second / rate.first;

@@ -81,7 +81,7 @@ std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
 
 }  // namespace
 
-// Grow trees where they keep `tol`; otherwise the plan is left as it was, for the direct sum.
+// Makes trees where they keep `tol`; otherwise the plan is left as it was, for the direct sum.
 void Plan::factorise(double tol) {
     if (!narrow_ || !points_.empty() || traces_.empty() || tol < tree_tol * (1 - 1e-9)) return;
     // tiles count by the spheres about them, which reach nearer than their pixels

@@ -6,7 +6,7 @@ import argparse
 import json
 
 from pysas.cli.common import Command, Progress, load_echoes
-from pysas.inspection import inspect
+from pysas.signal.inspection import inspect
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

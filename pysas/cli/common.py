@@ -16,10 +16,10 @@ import numpy as np
 from pysas import plot
 from pysas.formats import files, io
 from pysas.formats.containers import container
-from pysas.model import framing
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
+from pysas.planning import framing
 
 
 class Progress:

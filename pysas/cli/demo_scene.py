@@ -11,7 +11,7 @@ from pysas._checks import FloatArray
 from pysas.model.echoes import Beam, Echoes
 from pysas.model.grid import Grid
 from pysas.model.pulse import LFM
-from pysas.signal.simulation import Element, simulate
+from pysas.simulation import Element, simulate
 
 CHANNELS = 6
 _DEPTH = 6.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from pysas import metrics, plot
 from pysas.cli.common import Command, Progress, add_scene, chosen_grid, load_echoes, require_places, silenced
+from pysas.engine import BACKENDS
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
 from pysas.model.echoes import Echoes
@@ -26,7 +27,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto: the faster, by prediction"
     )
-    sub.add_argument("--backend", choices=("auto", "numba", "cpp"), default="auto")
+    sub.add_argument("--backend", choices=BACKENDS, default="auto")
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:

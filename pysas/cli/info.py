@@ -9,8 +9,8 @@ from typing import Any
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
-from pysas.model import framing
 from pysas.model.image import Image
+from pysas.planning import framing
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from pysas.engine import native, subtrees
 from pysas.engine.interface import Engine, Subtrees
 from pysas.engine.native_steps import Compiled
 from pysas.engine.steps import Setting, Steps
-from pysas.engine.survey import Raster, Survey, Terms, Totals
+from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
 from pysas.engine.traces import Records
 
 
@@ -50,7 +50,7 @@ class Cpp:
 
     def accumulate(
         self, data: ComplexArray, order: npt.NDArray[np.int64], survey: Survey, reader: native.Reader, scale: float,
-        raster: Raster, trigonometry: Terms, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
+        raster: Raster, trigonometry: Trigonometry, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
         progress: Callable[[float], None] | None,
     ) -> Totals:  # fmt: skip
         return native.accumulate(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.steps import Setting, Steps
-from pysas.engine.survey import Raster, Survey, Terms, Totals
+from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
 from pysas.engine.traces import Records
 from pysas.engine.tree import IntArray, SubImages
 
@@ -70,7 +70,7 @@ class Engine(Protocol):
 
     def accumulate(
         self, data: ComplexArray, order: npt.NDArray[np.int64], survey: Survey, reader: Any, scale: float, raster: Raster,
-        trigonometry: Terms, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
+        trigonometry: Trigonometry, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
         progress: Callable[[float], None] | None,
     ) -> Totals:  # fmt: skip
         """Add traces `order` (flat ping-channel numbers; record i of survey.trace is order[i]) of `data` to `image` (line,

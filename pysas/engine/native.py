@@ -24,7 +24,7 @@ from pysas import _checks, _leaving
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.preparation import Cut, low_pass, segments
-from pysas.engine.survey import Raster, Survey, Terms, Totals, rows_per_task
+from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, rows_per_task
 
 SLAB = 2**16  # pixels of a point list at a time
 RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
@@ -156,7 +156,7 @@ def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.
         return np.asarray(core().peaks(traces, begin, end, threads, None))
     channels = traces.shape[1]
     found = np.empty(traces.shape[:2])
-    for some, part in _in_parts(traces):
+    for some, part in _in_parts(traces, 0, len(traces)):
         flat = slice(some.start * channels, some.stop * channels)
         found[some] = core().peaks(part, begin[flat], end[flat], threads, None)
     return found
@@ -169,7 +169,9 @@ def mean_squares(
     if _plain(data):
         return np.asarray(core().mean_squares(data, trace, place, reach, scale, threads, None))
     channels, found = data.shape[1], np.empty(trace.size)
-    for some, part in _in_parts(data):
+    if not trace.size:
+        return found
+    for some, part in _in_parts(data, int(trace.min()) // channels, int(trace.max()) // channels + 1):
         own = np.flatnonzero((trace >= some.start * channels) & (trace < some.stop * channels))
         first = some.start * channels
         found[own] = core().mean_squares(part, trace[own] - first, place[own], reach, scale, threads, None)
@@ -181,11 +183,12 @@ def _plain(data: ComplexArray) -> bool:
     return bool(data.dtype.isnative and data.flags.aligned and all(step % data.itemsize == 0 for step in data.strides))
 
 
-def _in_parts(traces: ComplexArray) -> Iterator[tuple[slice, ComplexArray]]:
-    """Working copies, that C++ can read, of some pings at a time."""
-    kind, at_once = traces.dtype.newbyteorder("="), max(1, PART // max(1, traces[0].nbytes))
-    for begin in range(0, traces.shape[0], at_once):
-        some = slice(begin, min(begin + at_once, traces.shape[0]))
+def _in_parts(traces: ComplexArray, first: int, last: int) -> Iterator[tuple[slice, ComplexArray]]:
+    """Working copies, that C++ can read, of some of pings [first, last) at a time."""
+    kind = traces.dtype.newbyteorder("=")
+    at_once = max(1, PART // max(1, traces.shape[1] * traces.shape[2] * traces.itemsize))
+    for begin in range(first, last, at_once):
+        some = slice(begin, min(begin + at_once, last))
         yield some, np.array(traces[some], dtype=kind, order="C")
 
 
@@ -202,7 +205,7 @@ def accumulate(
     reader: Reader,
     scale: float,
     raster: Raster,
-    trigonometry: Terms,
+    trigonometry: Trigonometry,
     real: npt.DTypeLike,
     batch: int,
     image: ComplexArray,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine.survey import Survey, Terms
+from pysas.engine.survey import Survey, Trigonometry
 from pysas.engine.tree import SubImages, Taps
 
 BoolArray = npt.NDArray[np.bool_]
@@ -28,8 +28,8 @@ class Setting:
 
     taps: Taps
     wave: float
-    trigonometry: Terms
-    carrier: Terms
+    trigonometry: Trigonometry
+    carrier: Trigonometry
     threads: int
     isa: str
 

@@ -17,7 +17,7 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba, _numba_samples
 from pysas.engine.preparation import Interpolator, coefficients, segments
-from pysas.engine.survey import Raster, Survey, Terms, Totals, in_native_order, rows_per_task
+from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, in_native_order, rows_per_task
 from pysas.engine.traces import Records, reals
 
 
@@ -110,7 +110,7 @@ def accumulate(
     reader: Interpolator,
     scale: float,
     raster: Raster,
-    trigonometry: Terms,
+    trigonometry: Trigonometry,
     real: npt.DTypeLike,
     batch: int,
     image: ComplexArray,

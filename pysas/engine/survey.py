@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.traces import Records
 
-Terms = tuple[tuple[float, ...], tuple[float, ...]]  # of polynomials for sine and cosine
+Trigonometry = tuple[tuple[float, ...], tuple[float, ...]]  # of polynomials for sine and cosine
 
 
 def rows_per_task(n_fine: int) -> int:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray, InternalError
 from pysas.engine.steps import Lines, Setting, Stack, Steps
-from pysas.engine.survey import Survey, Terms, Totals
+from pysas.engine.survey import Survey, Totals, Trigonometry
 from pysas.engine.traces import TILE_ROWS
 from pysas.engine.tree import SubImages
 from pysas.imaging.plans import Plan
@@ -58,7 +58,7 @@ class _Levels:
 
 def accumulate(
     plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Survey], scale: float,
-    trigonometry: Terms, carrier: Terms, image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
+    trigonometry: Trigonometry, carrier: Trigonometry, image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
 ) -> Totals:  # fmt: skip
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
     forest, choices = plan.forest, plan.choices

@@ -15,8 +15,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks, engine
-from pysas.engine import Engine, tree
+from pysas import _checks
+from pysas.engine import Engine, engine_of, tree
 from pysas.imaging.execution import execute
 from pysas.imaging.plans import Plan
 from pysas.model.echoes import Echoes
@@ -147,7 +147,7 @@ def _plan(
         raise TypeError(f"grid={type(grid).__name__}: expected pysas.Grid")
     _checks.choice("method", method, METHODS)
     _checks.choice("nan", nan, ("raise", "mask"))
-    runs = engine.engine_of(backend)
+    engine = engine_of(backend)
     if not (echoes.compressed or raw):
         raise ValueError("echoes: raw (compressed=False): expected range-compressed echoes, see pysas.compress")
     if echoes.fs < 1.1 * echoes.occupied_bandwidth * (1 - 1e-9):
@@ -159,13 +159,13 @@ def _plan(
     scene = Scene(echoes, grid, weights)
     _reachable(tol, echoes, scene)
     count = _checks.threads(threads)
-    left = tol - _weigh(scene, grid, tol, method != "backprojection", count, runs)
-    choices = choose(scene, left, runs)
+    left = tol - _weigh(scene, grid, tol, method != "backprojection", count, engine)
+    choices = choose(scene, left, engine)
     forest, why, fault = None, "", ""
     if method != "backprojection":
         auto = method == "auto"
         try:
-            forest, why = _trees(scene, grid, left, choices, runs, fallback or auto, count, auto)
+            forest, why = _trees(scene, grid, left, choices, engine, fallback or auto, count, auto)
         except _checks.InternalError as error:  # no fault of the scene: there is always the direct sum
             if not (fallback or auto):
                 raise
@@ -175,7 +175,7 @@ def _plan(
         choices = dataclasses.replace(choices, errors=choices.errors | {"view angles": _views_error(scene)})
     chosen, why = ("ffbp", why) if method == "ffbp" or forest is not None else ("backprojection", fault)
     return Plan(
-        echoes, grid, tol, scene if forest is None else forest.scene, choices, count, runs, nan, chosen, forest, why, left,
+        echoes, grid, tol, scene if forest is None else forest.scene, choices, count, engine, nan, chosen, forest, why, left,
         fallback or method != "ffbp", execute, other_engine,
     )  # fmt: skip
 
@@ -199,14 +199,14 @@ def other_engine(plan: Plan) -> str:
     return f"ffbp: {why}"
 
 
-def _weigh(scene: Scene, grid: Grid, tol: float, tree: bool, threads: int, runs: Engine) -> float:
+def _weigh(scene: Scene, grid: Grid, tol: float, tree: bool, threads: int, engine: Engine) -> float:
     """Give a scene its weights uniform in view angle, if it asks for them; what error they bring."""
     if not scene.uniform or scene.why_empty():
         return 0.0
     for node in (_node(scene), 0.0) if tree else (0.0,):  # those of sub-images also lie around the image
         stretch = (view_angles.LONGEST - 1) * max(scene.step, node)
         scene.lattice = view_angles.lattice(
-            scene, grid, SHARE_VIEWS * tol, _beyond(node), stretch, threads, runs, SHARE_LIT * tol
+            scene, grid, SHARE_VIEWS * tol, _beyond(node), stretch, threads, engine, SHARE_LIT * tol
         )
         if scene.lattice is not None:
             break
@@ -259,25 +259,25 @@ class _Candidate:
 
 
 def _trees(
-    scene: Scene, grid: Grid, tol: float, choices: Choices, runs: Engine, fallback: bool, threads: int, auto: bool
+    scene: Scene, grid: Grid, tol: float, choices: Choices, engine: Engine, fallback: bool, threads: int, auto: bool
 ) -> tuple[Forest | None, str]:
     """A tree for each of the longest groups, or None and why all is summed directly, as `choices` say; an error where that is
     forbidden.
 
     `auto` : planning the trees counts beside their sums.
     """
-    direct = sum_seconds(scene, choices, runs.costs())
-    most = _direct_seconds(scene, choices, runs) if fallback else math.inf
+    direct = sum_seconds(scene, choices, engine.costs())
+    most = _direct_seconds(scene, choices, engine) if fallback else math.inf
     forest = None
-    planning = threads * costs.plan_seconds(runs) if auto else 0.0
+    planning = threads * costs.plan_seconds(engine) if auto else 0.0
     if most <= 3 * planning:  # looking for a layout alone takes about as long
         return None, LONGER
-    candidate, why = _candidate(scene, grid, tol, runs, direct, most - planning)
+    candidate, why = _candidate(scene, grid, tol, engine, direct, most - planning)
     alone = threads * costs.TREE_SECONDS
     if candidate is not None and candidate.seconds + alone * candidate.trees > most - planning:
         return None, LONGER
     if candidate is not None:
-        forest, why = _make_forest(scene, candidate, tol, runs, not fallback, (most - planning) / max(alone, 1e-9))
+        forest, why = _make_forest(scene, candidate, tol, engine, not fallback, (most - planning) / max(alone, 1e-9))
     if forest is not None:
         forest.seconds += alone * len(forest.trees)
         if forest.seconds > most:
@@ -290,12 +290,12 @@ def _trees(
     return forest, why
 
 
-def _direct_seconds(scene: Scene, choices: Choices, runs: Engine) -> float:
-    return sum_seconds(scene, choices, runs.costs()) + prepare_seconds(scene, choices)
+def _direct_seconds(scene: Scene, choices: Choices, engine: Engine) -> float:
+    return sum_seconds(scene, choices, engine.costs()) + prepare_seconds(scene, choices)
 
 
 def _candidate(
-    scene: Scene, grid: Grid, tol: float, runs: Engine, direct: float, most: float = math.inf
+    scene: Scene, grid: Grid, tol: float, engine: Engine, direct: float, most: float = math.inf
 ) -> tuple[_Candidate | None, str]:  # fmt: skip
     """The cheapest layout that keeps tol, or why there is none within `most` s.
 
@@ -316,7 +316,7 @@ def _candidate(
     share = SHARE_LEAVES * tol
     block, near = 0, 0.0
     if scene.lines is not None:
-        block, near, _ = choose_delay(scene, share, runs, "float32", SHARE_ROUNDING, whole=True)
+        block, near, _ = choose_delay(scene, share, engine, "float32", SHARE_ROUNDING, whole=True)
         if not block:
             return None, "pixels too coarse for float32 blocks"
         block = even_split(scene.line_length, block)
@@ -337,7 +337,7 @@ def _candidate(
                 break
     if not kinds:
         return None, "no interpolation keeps tol"
-    found = layouts.cheapest(scene, raster, kinds, runs.costs(), SPARE, direct)
+    found = layouts.cheapest(scene, raster, kinds, engine.costs(), SPARE, direct)
     if found is None:
         return None, "pixels too near the track"
     if found[1] > most:
@@ -351,14 +351,14 @@ def _candidate(
 
 
 def _make_forest(
-    scene: Scene, best: _Candidate, tol: float, runs: Engine, whole: bool, most: float
+    scene: Scene, best: _Candidate, tol: float, engine: Engine, whole: bool, most: float
 ) -> tuple[Forest | None, str]:  # fmt: skip
     """About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not all)."""
     error = SHARE_PHASE * best.share
 
     def made(layout: Layout, least: Fraction) -> Forest | None:
         layout = layouts.cleared(scene, layout, best.height, error, SHARE_POSITIONS * tol / MOST_MERGES, SHARE_ENDS * tol)
-        return make_forest(scene, best.raster, best.image, layout, best.near, best.relief, least, whole, runs)
+        return make_forest(scene, best.raster, best.image, layout, best.near, best.relief, least, whole, engine)
 
     layout = best.layout
     forest = made(layout, Fraction(0))
@@ -369,7 +369,7 @@ def _make_forest(
         forest = made(layout, Fraction(0))
     choices = None
     while forest is not None:
-        choices = choose_for_leaves(forest.scene, best.share, runs, SHARE_ROUNDING, forest.rate)
+        choices = choose_for_leaves(forest.scene, best.share, engine, SHARE_ROUNDING, forest.rate)
         if choices is not None:
             break
         # near a record's end tables hold all frequencies that samples can: their intervals must be shorter for that
@@ -384,5 +384,5 @@ def _make_forest(
     if not all(section.flat for section in forest.sections):
         errors["relief"] = best.relief
     forest.choices = dataclasses.replace(choices, errors=errors)
-    forest.seconds = forest_seconds(forest, runs.costs())
+    forest.seconds = forest_seconds(forest, engine.costs())
     return forest, ""

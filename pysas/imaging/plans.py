@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import itertools
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,7 +159,7 @@ class Plan:
         def read() -> list[npt.ArrayLike]:
             return list(itertools.islice(source, 1))
 
-        with ThreadPoolExecutor(1, thread_name_prefix="pysas-stream") as reader:
+        with concurrent.futures.ThreadPoolExecutor(1, thread_name_prefix="pysas-stream") as reader:
             coming = reader.submit(read)
             for number in itertools.count():
                 try:
@@ -206,7 +206,7 @@ class Plan:
             return self.forest.seconds / self.threads
         direct = sum_seconds(self.scene, self.choices, self.engine.costs()) + prepare_seconds(self.scene, self.choices)
         if self.scene.each:
-            direct += 1e-9 * view_angles.ARC_NS * self.scene.pixels * self.scene.traces
+            direct += 1e-9 * view_angles.ARC_NS.get(self.engine.costs(), 40.0) * self.scene.pixels * self.scene.traces
         return direct / self.threads
 
     @property

@@ -1,1 +1,1 @@
-"""Signal processing of pings: simulated echoes, matched filters, phase history to samples."""
+"""Signal processing of pings: matched filters, phase history to samples, what recordings look like."""
