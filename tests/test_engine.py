@@ -230,14 +230,13 @@ def test_a_degree_without_a_kernel_runs_as_no_other(real):
         weight, first = np.zeros((1, 8, degree + 1)), np.zeros(1, np.int64)
         table = np.zeros((1, 2 * (degree + 1), core.plane_stride(64, degree, np.dtype(real).itemsize)), real)
         one = np.zeros(1, np.int64)
-        core.prepare(data, one, one, None, 1.0, weight, first, 1, 64, table, 1, "auto", None)
+        core.prepare(data, one, one, None, 1.0, core.Filter(weight, first, 1, 0.0), 64, table, 1, "auto", None)
         return table
 
     def add(degree, terms, at, fit):
-        core.add(
-            fill(degree), degree, [0.0] * terms, [0.0] * (terms + 1), trace, model, 0, at, fit, np.zeros((1, 3)),
-            np.zeros((1, 3)), None, None, 8, None, None, image, 1, "auto", None,
-        )  # fmt: skip
+        polynomials = core.Polynomials(degree, [0.0] * terms, [0.0] * (terms + 1), at, fit)
+        raster = core.Raster(np.zeros((1, 3)), np.zeros((1, 3)), None, None, 8)
+        core.add(fill(degree), polynomials, core.Traces(trace, model, 0, None), raster, None, image, 1, "auto", None)
 
     degree, terms = listed["degrees"][-1], listed["terms"][0]
     add(degree, terms, at, fit)

@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "bind/arguments.hpp"
 #include "core/arcs.hpp"
 #include "core/dispatch.hpp"
 #include "core/errors.hpp"
@@ -42,20 +43,6 @@ const char* compiler() {
 #else
     return "unknown";
 #endif
-}
-
-template <typename T, int N>
-View<T, N> view(const py::array& array) {
-    if (array.ndim() != N || !py::isinstance<py::array_t<std::remove_const_t<T>>>(array)) {
-        throw py::type_error("array of the wrong dtype or number of axes");
-    }
-    T* const data = const_cast<T*>(static_cast<const T*>(array.data()));
-    return View<T, N>::of_bytes(data, array.shape(), array.strides());
-}
-
-template <typename T>
-const T* pointer(const std::optional<py::array_t<T>>& array) {
-    return array ? array->data() : nullptr;
 }
 
 // Releases the GIL. While the interpreter ends, whoever takes it again is unwound by pthread_exit, which no destructor
@@ -88,25 +75,16 @@ Tick ticker(const py::object& tick) {
     };
 }
 
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
-
-// The records of an array of one run, read where they lie.
-template <typename T>
-const T* records(const py::array& array, const char* name) {
-    if (!py::isinstance<Array<T>>(array)) {
-        const auto expected = py::str(py::dtype::of<T>()).cast<std::string>();
-        throw py::type_error(std::string(name) + ": expected contiguous records of " + expected + ", found " +
-                             py::str(array.dtype()).cast<std::string>());
-    }
-    return static_cast<const T*>(array.data());
+Filter design_filter(double band, int degree, int phases, int step, double error, int least, int most) {
+    return design(band, degree, phases, step, error, least, most, false);
 }
 
-py::tuple design_filter(double band, int degree, int phases, int step, double error, int least, int most) {
-    const Filter filter = design(band, degree, phases, step, error, least, most, false);
-    py::array_t<double> weight({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
-    py::array_t<std::int64_t> first(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
-    return py::make_tuple(weight, first, filter.error);
+py::array_t<double> weights_of(const Filter& filter) {
+    return py::array_t<double>({filter.phases, filter.taps, filter.degree + 1}, filter.weight.data());
+}
+
+py::array_t<std::int64_t> first_taps(const Filter& filter) {
+    return py::array_t<std::int64_t>(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
 }
 
 py::array_t<double> trace_peaks(const py::array& data, const Array<std::int64_t>& begin, const Array<std::int64_t>& end,
@@ -150,16 +128,9 @@ py::array_t<double> squares_about(const py::array& data, const Array<std::int64_
 }
 
 void prepare_batch(const py::array& data, const Array<std::int64_t>& order, const Array<std::int64_t>& start,
-                   const std::optional<py::array_t<std::complex<double>>>& weights, double scale,
-                   const Array<double>& weight, const Array<std::int64_t>& first, int step, std::int64_t length,
-                   const py::array& table, int threads, const std::string& isa, const py::object& tick) {
-    Filter filter;
-    filter.phases = static_cast<int>(weight.shape(0));
-    filter.taps = static_cast<int>(weight.shape(1));
-    filter.degree = static_cast<int>(weight.shape(2)) - 1;
-    filter.step = step;
-    filter.weight.assign(weight.data(), weight.data() + weight.size());
-    filter.first.assign(first.data(), first.data() + first.size());
+                   const std::optional<py::array_t<std::complex<double>>>& weights, double scale, const Filter& filter,
+                   std::int64_t length, const py::array& table, int threads, const std::string& isa,
+                   const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
     const auto call = [&](auto sample, auto real) {
@@ -179,75 +150,26 @@ void prepare_batch(const py::array& data, const Array<std::int64_t>& order, cons
         call(std::complex<double>(), double());
 }
 
-// What the kernels sum; nodes of delay polynomials apart.
-template <typename Real>
-Terms<Real> terms_of(const py::array& table, int degree, const std::vector<double>& sine,
-                     const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind) {
-    const auto tables = view<const Real, 3>(table);
-    Terms<Real> terms{};
-    terms.table = tables.data;
-    terms.trace_stride = tables.stride[0];
-    terms.plane_stride = tables.stride[1];
-    terms.degree = degree;
-    terms.trig = static_cast<int>(sine.size());
-    std::copy(sine.begin(), sine.end(), terms.sine);
-    std::copy(cosine.begin(), cosine.end(), terms.cosine);
-    terms.traces = records<Trace>(trace, "trace");
-    terms.n_trace = trace.size();
-    const Model* const shared = records<Model>(model, "model");
-    if (model.size() != 1) throw py::value_error("model: expected one record");
-    terms.model = *shared;
-    terms.kind = static_cast<Kind>(kind);
-    return terms;
-}
-
-// (ny, nx, trace) weights, and the lattice's first place and steps: x, y, dx, dy, and how long lines are at most.
-using LatticeArrays = std::optional<std::pair<Array<float>, Array<double>>>;
-
-Lattice lattice_of(const LatticeArrays& arrays, std::int64_t traces) {
-    if (!arrays) return {};
-    const auto& [value, axes] = *arrays;
-    if (value.ndim() != 3 || value.shape(0) < 4 || value.shape(1) < 4 || value.shape(2) != traces || axes.size() != 5)
-        throw py::value_error(
-            "a lattice: (ny, nx, trace) of at least 4 x 4 places, its first place, steps, longest line");
-    return {value.data(), traces,     value.shape(1), value.shape(0), axes.at(0),
-            axes.at(1),   axes.at(2), axes.at(3),     axes.at(4)};
-}
-
-std::int64_t add_batch(const py::array& table, int degree, const std::vector<double>& sine,
-                       const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind,
-                       const Array<double>& nodes, const Array<double>& fit,
-                       const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
-                       const std::optional<py::array_t<double>>& points, const std::optional<py::array_t<bool>>& mask,
-                       int count, const LatticeArrays& weights, const std::optional<py::array>& own,
-                       const py::array& image, int threads, const std::string& isa, const py::object& tick) {
+std::int64_t add_batch(const py::array& table, const Polynomials& by, const Traces& traces, const RasterArrays& raster,
+                       const std::optional<py::array>& own, const py::array& image, int threads, const std::string& isa,
+                       const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
-    const Lattice lattice = lattice_of(weights, trace.size());
     const auto call = [&](auto real, auto pixel) {
         using Real = decltype(real);
-        Terms<Real> terms = terms_of<Real>(table, degree, sine, cosine, trace, model, kind);
-        terms.lattice = weights ? &lattice : nullptr;
-        terms.nodes.count = static_cast<int>(nodes.size());
-        std::copy_n(nodes.data(), terms.nodes.count, terms.nodes.at);
-        std::copy_n(fit.data(), max_nodes * max_nodes, &terms.nodes.fit[0][0]);
+        Terms<Real> terms = terms_of<Real>(table, by, traces);
         const auto to = view<decltype(pixel), 2>(image);
         if (own) {
             const auto each = view<const Real, 2>(*own);
-            if (!points || each.shape[0] < (to.shape[1] + count - 1) / count * count ||
+            const std::int64_t count = raster.count;
+            if (!raster.points || each.shape[0] < (to.shape[1] + count - 1) / count * count ||
                 each.shape[1] != terms.n_trace || each.stride[0] != terms.n_trace || each.stride[1] != 1)
                 throw py::value_error("own weights: (point, trace) of whole blocks of points");
             terms.weights = each.data;
         }
-        const Raster raster{pointer(first),
-                            pointer(step),
-                            pointer(points),
-                            mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-                            to.shape[0],
-                            to.shape[1],
-                            count};
+        const Raster pixels = raster.of(to.shape[0], to.shape[1]);
         const Released gil;
-        return add(kernels, terms, raster, to, threads, check);
+        return add(kernels, terms, pixels, to, threads, check);
     };
     if (table.itemsize() == 8) return call(double(), std::complex<double>());
     if (image.itemsize() == 8) return call(float(), std::complex<float>());
@@ -277,97 +199,41 @@ py::array_t<std::uint64_t> view_arcs(const py::array& trace, int channels, doubl
     return pattern;
 }
 
-// See pysas.engine.tree.SubImages for what the rows hold.
-std::vector<SubImage> images_of(const Array<double>& place, const Array<std::int64_t>& shape,
-                                const Array<std::int32_t>& range, Array<float>& store) {
-    if (place.ndim() != 2 || shape.ndim() != 2 || place.shape(0) != shape.shape(0))
-        throw py::value_error("sub-images: rows of places and shapes");
-    return sub_images(place.data(), shape.data(), place.shape(0), range.data(), range.size(), store.mutable_data(),
-                      store.size());
-}
-
-struct TreeOf {
-    Taps taps{};
-    Tree tree{};
-    TreeOf(const Array<float>& even, const Array<float>& odd, const Array<float>& tap, const Array<float>& filter,
-           double wave, const std::vector<double>& sine, const std::vector<double>& cosine, const Array<double>& nodes,
-           const Array<double>& fit) {
-        taps = make_taps(static_cast<int>(2 * even.shape(0)), even.data(), odd.data(), tap.data(), filter.data(),
-                         static_cast<int>(filter.size()) - 1);
-        tree.taps = &taps;
-        tree.wave = wave;
-        std::copy(sine.begin(), sine.end(), tree.sine);
-        std::copy(cosine.begin(), cosine.end(), tree.cosine);
-        tree.nodes.count = Sizes<float>::nodes;
-        std::copy_n(nodes.data(), tree.nodes.count, tree.nodes.at);
-        std::copy_n(fit.data(), max_nodes * max_nodes, &tree.nodes.fit[0][0]);
-    }
-    TreeOf(const TreeOf&) = delete;
-};
-
-void fill_leaves(const TreeOf& tree, const Array<float>& table, int degree, const std::vector<double>& sine,
-                 const std::vector<double>& cosine, const py::array& trace, const py::array& model, int kind,
-                 const Array<std::int64_t>& span, const Array<double>& place, const Array<std::int64_t>& shape,
-                 const Array<std::int32_t>& range, const LatticeArrays& weights, Array<float> store, double slack,
-                 bool smooth, int threads, const std::string& isa, const py::object& tick) {
+void fill_leaves(const TreeOf& tree, const Array<float>& table, const Polynomials& by, const Traces& traces,
+                 const Array<std::int64_t>& span, const SubImageArrays& to, double slack, bool smooth, int threads,
+                 const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
-    const auto images = images_of(place, shape, range, store);
-    Terms<float> terms = terms_of<float>(table, degree, sine, cosine, trace, model, kind);
-    terms.nodes = tree.tree.nodes;
-    const Lattice lattice = lattice_of(weights, trace.size());
-    terms.lattice = weights ? &lattice : nullptr;
+    const Terms<float> terms = terms_of<float>(table, by, traces);
     const std::int64_t* spans = span.data();
     const Released gil;
-    leaves(kernels, tree.tree, terms, spans, images.data(), static_cast<std::int64_t>(images.size()), slack, smooth,
-           threads, check);
+    leaves(kernels, tree.tree, terms, spans, to.images.data(), static_cast<std::int64_t>(to.images.size()), slack,
+           smooth, threads, check);
 }
 
-void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const Array<double>& child_place,
-                      const Array<std::int64_t>& child_shape, const Array<std::int32_t>& child_range,
-                      Array<float> child_store, const Array<double>& place, const Array<std::int64_t>& shape,
-                      const Array<std::int32_t>& range, Array<float> store, bool add, bool last, bool smooth,
-                      int threads, const std::string& isa, const py::object& tick) {
+void merge_sub_images(const TreeOf& tree, const Array<std::int64_t>& span, const SubImageArrays& children,
+                      const SubImageArrays& to, bool add, bool last, bool smooth, int threads, const std::string& isa,
+                      const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
-    const auto children = images_of(child_place, child_shape, child_range, child_store);
-    const auto images = images_of(place, shape, range, store);
     const std::int64_t* spans = span.data();
     const Released gil;
-    merge(kernels, tree.tree, children.data(), spans, images.data(), static_cast<std::int64_t>(images.size()), add,
-          last, smooth, threads, check);
+    merge(kernels, tree.tree, children.images.data(), spans, to.images.data(),
+          static_cast<std::int64_t>(to.images.size()), add, last, smooth, threads, check);
 }
 
-void read_sub_image(const TreeOf& tree, const Array<double>& place, const Array<std::int64_t>& shape,
-                    const Array<std::int32_t>& range, Array<float> store,
-                    const std::optional<py::array_t<double>>& first, const std::optional<py::array_t<double>>& step,
-                    const std::optional<Array<double>>& points, const std::optional<Array<double>>& axis,
-                    const std::optional<Array<double>>& heights, int number,
-                    const std::optional<py::array_t<bool>>& mask, int count, const Array<std::uint8_t>& wanted,
-                    const py::array& image, int threads, const std::string& isa, const py::object& tick) {
+void read_sub_image(const TreeOf& tree, const SubImageArrays& from, const RasterArrays& raster,
+                    const std::optional<Stack>& stack, const Array<std::uint8_t>& wanted, const py::array& image,
+                    int threads, const std::string& isa, const py::object& tick) {
     const Kernels& kernels = kernels_for(isa);
     const Tick check = ticker(tick);
-    const auto from = images_of(place, shape, range, store);
-    Stack stack{};
-    if (points) {
-        if (!axis || !heights || axis->size() != 3 || heights->size() > max_planes || number >= heights->size())
-            throw py::value_error("points: an axis and heights");
-        std::copy_n(axis->data(), 3, stack.axis);
-        std::copy_n(heights->data(), heights->size(), stack.height);
-        stack.count = static_cast<int>(heights->size());
-        stack.number = number;
-    }
+    if (raster.points.has_value() != stack.has_value()) throw py::value_error("points are read from a stack");
     const auto call = [&](auto pixel) {
         const auto to = view<decltype(pixel), 2>(image);
-        const Raster raster{pointer(first),
-                            pointer(step),
-                            points ? points->data() : nullptr,
-                            mask ? reinterpret_cast<const std::uint8_t*>(mask->data()) : nullptr,
-                            to.shape[0],
-                            to.shape[1],
-                            count};
+        const Raster pixels = raster.of(to.shape[0], to.shape[1]);
+        const Stack* planes = stack ? &*stack : nullptr;
         const Released gil;
-        read(kernels, tree.tree, from[0], raster, points ? &stack : nullptr, wanted.data(), to, threads, check);
+        read(kernels, tree.tree, from.images[0], pixels, planes, wanted.data(), to, threads, check);
     };
     if (image.itemsize() == 8)
         call(std::complex<float>());
@@ -463,32 +329,51 @@ PYBIND11_MODULE(_core, m) {
     m.def("plane_stride", &plane_stride, "intervals"_a, "degree"_a, "real"_a,
           "Reals from one plane of a table to the next.");
     m.def("intervals", &intervals_of, "length"_a, "rate"_a, "Intervals of a table over `length` samples.");
-    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "least"_a, "most"_a,
-          "Filter weights (phase, tap, power), first taps and measured error.");
     m.def("peaks", &trace_peaks, "data"_a, "begin"_a, "end"_a, "threads"_a, "tick"_a,
           "Largest real or imaginary part of some samples of every trace; not finite where the trace is not.");
     m.def("mean_squares", &squares_about, "data"_a, "trace"_a, "place"_a, "reach"_a, "scale"_a, "threads"_a, "tick"_a,
           "Mean squares of samples about places.");
-    m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "weight"_a, "first"_a,
-          "step"_a, "length"_a, "table"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the tables of a batch of traces.");
+    py::class_<Filter>(m, "Filter", "Coefficients of polynomials from samples.")
+        .def(py::init(&make_filter), "weight"_a, "first"_a, "step"_a, "error"_a)
+        .def_property_readonly("weight", &weights_of, "(phase, tap, power).")
+        .def_property_readonly("first", &first_taps, "First tap of each phase.")
+        .def_readonly("step", &Filter::step)
+        .def_readonly("error", &Filter::error)
+        .def_readonly("degree", &Filter::degree)
+        .def_readonly("taps", &Filter::taps)
+        .def_readonly("phases", &Filter::phases)
+        .def_property_readonly("rate", &Filter::rate, "Intervals per sample.");
+    py::class_<Polynomials>(m, "Polynomials", "How tables are read and delays formed.")
+        .def(py::init<int, std::vector<double>, std::vector<double>, const Array<double>&, const Array<double>&>(),
+             "degree"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
+    py::class_<Traces>(m, "Traces", "Traces, what they have in common, their weights on a lattice.")
+        .def(py::init<py::array, py::array, int, LatticeArrays>(), "trace"_a, "model"_a, "kind"_a, "weights"_a);
+    py::class_<RasterArrays>(m, "Raster", "Lines, or points, in blocks of `count`.")
+        .def(py::init<std::optional<Array<double>>, std::optional<Array<double>>, std::optional<Array<double>>,
+                      std::optional<Array<bool>>, int>(),
+             "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a);
+    py::class_<SubImageArrays>(m, "SubImages", "Sub-images of one level.")
+        .def(py::init<Array<double>, Array<std::int64_t>, Array<std::int32_t>, Array<float>>(), "place"_a, "shape"_a,
+             "range"_a, "store"_a);
+    py::class_<Stack>(m, "Stack", "Planes that pixels between them are read from.")
+        .def(py::init(&make_stack), "axis"_a, "heights"_a, "number"_a);
     py::class_<TreeOf>(m, "Tree", "Interpolation and carrier that all steps of a tree share.")
         .def(py::init<const Array<float>&, const Array<float>&, const Array<float>&, const Array<float>&, double,
-                      const std::vector<double>&, const std::vector<double>&, const Array<double>&,
-                      const Array<double>&>(),
-             "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "sine"_a, "cosine"_a, "nodes"_a, "fit"_a);
-    m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "trace"_a, "model"_a, "kind"_a,
-          "span"_a, "place"_a, "shape"_a, "range"_a, "weights"_a, "store"_a, "slack"_a, "smooth"_a, "threads"_a,
-          "isa"_a, "tick"_a, "Fill the sub-images of groups of traces.");
-    m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "child_place"_a, "child_shape"_a, "child_range"_a,
-          "child_store"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "add"_a, "last"_a, "smooth"_a, "threads"_a,
-          "isa"_a, "tick"_a, "Fill sub-images from their children's.");
-    m.def("read", &read_sub_image, "tree"_a, "place"_a, "shape"_a, "range"_a, "store"_a, "first"_a, "step"_a,
-          "points"_a, "axis"_a, "heights"_a, "number"_a, "mask"_a, "count"_a, "wanted"_a, "image"_a, "threads"_a,
+                      const Polynomials&>(),
+             "even"_a, "odd"_a, "tap"_a, "filter"_a, "wave"_a, "carrier"_a);
+    m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "least"_a, "most"_a,
+          "A filter, with its measured error.");
+    m.def("prepare", &prepare_batch, "data"_a, "order"_a, "start"_a, "weights"_a, "scale"_a, "filter"_a, "length"_a,
+          "table"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the tables of a batch of traces.");
+    m.def("leaves", &fill_leaves, "tree"_a, "table"_a, "polynomials"_a, "traces"_a, "span"_a, "to"_a, "slack"_a,
+          "smooth"_a, "threads"_a, "isa"_a, "tick"_a, "Fill the sub-images of groups of traces.");
+    m.def("merge", &merge_sub_images, "tree"_a, "span"_a, "children"_a, "to"_a, "add"_a, "last"_a, "smooth"_a,
+          "threads"_a, "isa"_a, "tick"_a, "Fill sub-images from their children's.");
+    m.def("read", &read_sub_image, "tree"_a, "sub_image"_a, "raster"_a, "stack"_a, "wanted"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a sub-image to an image's tiles.");
     m.def("subtree", &group_subtree, "trace"_a, "centres"_a, "order"_a, "medium"_a, "fans"_a, "taps"_a, "half"_a,
           "rate"_a, "plane"_a, "direction"_a, "readings"_a, "step"_a, "left"_a, "The tree below a group of traces.");
-    m.def("add", &add_batch, "table"_a, "degree"_a, "sine"_a, "cosine"_a, "trace"_a, "model"_a, "kind"_a, "nodes"_a,
-          "fit"_a, "first"_a, "step"_a, "points"_a, "mask"_a, "count"_a, "weights"_a, "own"_a, "image"_a, "threads"_a,
+    m.def("add", &add_batch, "table"_a, "polynomials"_a, "traces"_a, "raster"_a, "own"_a, "image"_a, "threads"_a,
           "isa"_a, "tick"_a, "Add a batch's terms to an image; returns how many.");
     m.def("arcs", &view_arcs, "trace"_a, "channels"_a, "cos_beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a,
           "tick"_a, "Arcs of view angle at points, and the pattern of the views at each.");

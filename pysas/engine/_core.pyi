@@ -36,10 +36,84 @@ def plane_stride(intervals: int, degree: int, real: int) -> int:
 def intervals(length: int, rate: float) -> int:
     """Intervals of a table over `length` samples."""
 
-def design(
-    band: float, degree: int, phases: int, step: int, error: float, least: int, most: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], float]:
-    """Filter weights (phase, tap, power), first taps (phase,) and measured error; see csrc/core/filters.hpp."""
+class Filter:
+    """Weights (phase, tap, power) and first taps (phase,) of a filter, its steps, and its measured `error`.
+
+    `rate` : over-sampling, intervals per sample.
+    """
+
+    @property
+    def weight(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def first(self) -> npt.NDArray[np.int64]: ...
+    @property
+    def step(self) -> int: ...
+    @property
+    def error(self) -> float: ...
+    @property
+    def degree(self) -> int: ...
+    @property
+    def taps(self) -> int: ...
+    @property
+    def phases(self) -> int: ...
+    @property
+    def rate(self) -> float: ...
+    def __init__(self, weight: npt.NDArray[np.float64], first: npt.NDArray[np.int64], step: int, error: float) -> None: ...
+
+class Polynomials:
+    """How tables are read and delays formed: degree of the interpolation, sine and cosine in turns^2, nodes of delays and the
+    matrix from values there to coefficients, 7 x 7."""
+
+    def __init__(
+        self,
+        degree: int,
+        sine: Sequence[float],
+        cosine: Sequence[float],
+        nodes: npt.NDArray[np.float64],
+        fit: npt.NDArray[np.float64],
+    ) -> None: ...
+
+class Traces:
+    """Traces, what they have in common, and their weights at places (y, x, trace) with view_angles.Lattice.axes."""
+
+    def __init__(
+        self,
+        trace: Records,
+        model: Records,
+        kind: int,
+        weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
+    ) -> None: ...
+
+class Raster:
+    """Lines by first pixels and steps, or points; which of them are wanted; `count` pixels make a block."""
+
+    def __init__(
+        self,
+        first: npt.NDArray[np.float64] | None,
+        step: npt.NDArray[np.float64] | None,
+        points: npt.NDArray[np.float64] | None,
+        mask: npt.NDArray[np.bool_] | None,
+        count: int,
+    ) -> None: ...
+
+class SubImages:
+    """See pysas.engine.tree.SubImages; `store` has their rows."""
+
+    def __init__(
+        self,
+        place: npt.NDArray[np.float64],
+        shape: npt.NDArray[np.int64],
+        range: npt.NDArray[np.int32],
+        store: npt.NDArray[np.float32],
+    ) -> None: ...
+
+class Stack:
+    """See pysas.engine.steps.Stack."""
+
+    def __init__(self, axis: npt.NDArray[np.float64], heights: npt.NDArray[np.float64], number: int) -> None: ...
+
+def design(band: float, degree: int, phases: int, step: int, error: float, least: int, most: int) -> Filter:
+    """A filter, with its measured error; see csrc/core/filters.hpp."""
 
 def peaks(
     data: npt.NDArray[Any],
@@ -68,9 +142,7 @@ def prepare(
     start: npt.NDArray[np.int64],
     weights: npt.NDArray[np.complex128] | None,
     scale: float,
-    weight: npt.NDArray[np.float64],
-    first: npt.NDArray[np.int64],
-    step: int,
+    filter: Filter,
     length: int,
     table: npt.NDArray[Any],
     threads: int,
@@ -81,20 +153,9 @@ def prepare(
 
 def add(
     table: npt.NDArray[Any],
-    degree: int,
-    sine: Sequence[float],
-    cosine: Sequence[float],
-    trace: Records,
-    model: Records,
-    kind: int,
-    nodes: npt.NDArray[np.float64],
-    fit: npt.NDArray[np.float64],
-    first: npt.NDArray[np.float64] | None,
-    step: npt.NDArray[np.float64] | None,
-    points: npt.NDArray[np.float64] | None,
-    mask: npt.NDArray[np.bool_] | None,
-    count: int,
-    weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
+    polynomials: Polynomials,
+    traces: Traces,
+    raster: Raster,
     own: npt.NDArray[Any] | None,
     image: npt.NDArray[Any],
     threads: int,
@@ -103,8 +164,7 @@ def add(
 ) -> int:
     """Add a batch's terms to `image` (line, pixel); returns how many.
 
-    `weights` : of the terms, at places (y, x, trace), and view_angles.Lattice.axes; `own` : those of a list of points,
-    (point, trace) of the table's reals, with rows for whole blocks of points.
+    `own` : weights of a list of points, (point, trace) of the table's reals, with rows for whole blocks of points.
     """
 
 def arcs(
@@ -132,46 +192,29 @@ class Tree:
         tap: npt.NDArray[np.float32],
         filter: npt.NDArray[np.float32],
         wave: float,
-        sine: Sequence[float],
-        cosine: Sequence[float],
-        nodes: npt.NDArray[np.float64],
-        fit: npt.NDArray[np.float64],
+        carrier: Polynomials,
     ) -> None: ...
 
 def leaves(
     tree: Tree,
     table: npt.NDArray[np.float32],
-    degree: int,
-    sine: Sequence[float],
-    cosine: Sequence[float],
-    trace: Records,
-    model: Records,
-    kind: int,
+    polynomials: Polynomials,
+    traces: Traces,
     span: npt.NDArray[np.int64],
-    place: npt.NDArray[np.float64],
-    shape: npt.NDArray[np.int64],
-    range: npt.NDArray[np.int32],
-    weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
-    store: npt.NDArray[np.float32],
+    to: SubImages,
     slack: float,
     smooth: bool,
     threads: int,
     isa: str,
     tick: Callable[[float], object] | None,
 ) -> None:
-    """Fill the sub-images of groups of traces in `store`; with `smooth` for pixels to read, else for merging."""
+    """Fill the sub-images of groups of traces; with `smooth` for pixels to read, else for merging."""
 
 def merge(
     tree: Tree,
     span: npt.NDArray[np.int64],
-    child_place: npt.NDArray[np.float64],
-    child_shape: npt.NDArray[np.int64],
-    child_range: npt.NDArray[np.int32],
-    child_store: npt.NDArray[np.float32],
-    place: npt.NDArray[np.float64],
-    shape: npt.NDArray[np.int64],
-    range: npt.NDArray[np.int32],
-    store: npt.NDArray[np.float32],
+    children: SubImages,
+    to: SubImages,
     add: bool,
     last: bool,
     smooth: bool,
@@ -183,18 +226,9 @@ def merge(
 
 def read(
     tree: Tree,
-    place: npt.NDArray[np.float64],
-    shape: npt.NDArray[np.int64],
-    range: npt.NDArray[np.int32],
-    store: npt.NDArray[np.float32],
-    first: npt.NDArray[np.float64] | None,
-    step: npt.NDArray[np.float64] | None,
-    points: npt.NDArray[np.float64] | None,
-    axis: npt.NDArray[np.float64] | None,
-    heights: npt.NDArray[np.float64] | None,
-    number: int,
-    mask: npt.NDArray[np.bool_] | None,
-    count: int,
+    sub_image: SubImages,
+    raster: Raster,
+    stack: Stack | None,
     wanted: npt.NDArray[np.uint8],
     image: npt.NDArray[Any],
     threads: int,

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.preparation import Cut, low_pass, segments
 from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, rows_per_task
+
+if TYPE_CHECKING:
+    from pysas.engine._core import Filter as Filter
 
 SLAB = 2**16  # pixels of a point list at a time
 RATES = ((1, 1), (3, 2), (2, 1), (5, 2), (3, 1), (7, 2), (4, 1), (5, 1), (6, 1), (8, 1), (11, 1), (16, 1))
@@ -82,37 +85,14 @@ def isa_name() -> str:
     return str(levels[-1] if name == "auto" else name)
 
 
-@dataclass(frozen=True)
-class Filter:
-    """Weights (phase, tap, degree + 1) and first taps (phase,) of a filter, its steps, and its measured `error`."""
-
-    weight: FloatArray
-    first: npt.NDArray[np.int64]
-    step: int
-    error: float
-
-    @property
-    def degree(self) -> int:
-        return int(self.weight.shape[2]) - 1
-
-    @property
-    def taps(self) -> int:
-        return int(self.weight.shape[1])
-
-    @property
-    def rate(self) -> float:
-        """Over-sampling: intervals per sample."""
-        return float(self.weight.shape[0]) / self.step
-
-
 @functools.lru_cache(maxsize=256)
 def design(band: float, degree: int, phases: int, step: int, error: float, most: int, least: int = LEAST_TAPS) -> Filter:
     """A filter of `least` to `most` taps that reads components |f| <= band (units of fs) with at most `error`.
 
     Look at its own `error`.
     """
-    weight, first, reached = core().design(band, degree, phases, step, error, least, most)
-    return Filter(weight, first, step, reached)
+    found: Filter = core().design(band, degree, phases, step, error, least, most)
+    return found
 
 
 @dataclass(frozen=True)
@@ -217,9 +197,8 @@ def accumulate(
     engine = core()
     traces = data if data.ndim == 3 else data[:, None, :]
     kind = np.dtype(real)
-    filter = reader.filter
+    polynomials = polynomials_of(reader.filter.degree, trigonometry, sizes()[kind.name]["nodes"])
     table = empty_table(reader, min(batch, len(order)), kind)
-    at, fit = nodes(sizes()[kind.name]["nodes"])
     prepared = summed = 0.0
     terms = 0
     for begin in range(0, len(order), batch):
@@ -244,13 +223,22 @@ def accumulate(
 
             points = None if raster.straight else raster.points(lo, hi)
             mask = None if raster.mask is None else np.ascontiguousarray(raster.mask[:, lo:hi])
-            terms += engine.add(
-                rows, filter.degree, trigonometry[0], trigonometry[1], some.trace, survey.model, survey.kind, at, fit,
-                raster.first if raster.straight else None, raster.step if raster.straight else None, points, mask, raster.count,
-                some.lattice, None if some.own is None else some.own[lo:], image[:, lo:hi], threads, isa, tick,
-            )  # fmt: skip
+            first, step = (raster.first, raster.step) if raster.straight else (None, None)
+            pixels = engine.Raster(first, step, points, mask, raster.count)
+            own = None if some.own is None else some.own[lo:]
+            terms += engine.add(rows, polynomials, traces_of(some), pixels, own, image[:, lo:hi], threads, isa, tick)
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)
+
+
+def polynomials_of(degree: int, trigonometry: Trigonometry, count: int) -> Any:
+    """As the kernels take them, with `count` nodes for delays."""
+    return core().Polynomials(degree, trigonometry[0], trigonometry[1], *nodes(count))
+
+
+def traces_of(survey: Survey) -> Any:
+    """As the kernels take them."""
+    return core().Traces(survey.trace, survey.model, survey.kind, survey.lattice)
 
 
 def empty_table(reader: Reader, traces: int, real: npt.DTypeLike) -> FloatArray:
@@ -276,22 +264,7 @@ def fill(
         _low_passed(traces, part, start, weights, scale, reader, reader.cut, table, threads, isa)
         return
     source, places = (traces, part) if _plain(traces) else (_native(traces, part), np.arange(part.size))
-    filter = reader.filter
-    core().prepare(
-        source,
-        places,
-        start,
-        weights,
-        scale,
-        filter.weight,
-        filter.first,
-        filter.step,
-        reader.samples,
-        table,
-        threads,
-        isa,
-        None,
-    )
+    core().prepare(source, places, start, weights, scale, reader.filter, reader.samples, table, threads, isa, None)
 
 
 def _low_passed(
@@ -329,10 +302,8 @@ def _low_passed(
         fine = scipy.fft.ifft(fine, axis=-1, workers=1, overwrite_x=True)
         order = np.arange(len(kept))
         to = empty_table(reader, len(kept), np.float64) if wide and table.dtype == np.float32 else table[rows]
-        core().prepare(
-            fine, order, 2 * (lead + start[rows] - begin), None, 1.0, reader.filter.weight, reader.filter.first,
-            reader.filter.step, reader.samples, to, 1, isa, None,
-        )  # fmt: skip
+        start_of = 2 * (lead + start[rows] - begin)
+        core().prepare(fine, order, start_of, None, 1.0, reader.filter, reader.samples, to, 1, isa, None)
         if to.dtype != table.dtype:  # rounded where it is read, not where it is bright
             stride = min(to.shape[-1], table.shape[-1])
             table[rows, :, :stride] = to[..., :stride]

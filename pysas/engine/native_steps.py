@@ -29,10 +29,10 @@ class Compiled:
     def __post_init__(self) -> None:
         s, taps = self.setting, self.setting.taps
         self.table = native.empty_table(self.reader, self.room, np.float32)
-        self.nodes, self.fit = native.nodes(native.sizes()["float32"]["nodes"])
-        self.tree = native.core().Tree(
-            taps.even, taps.odd, taps.tap, taps.filter, s.wave, s.carrier[0], s.carrier[1], self.nodes, self.fit
-        )
+        count = native.sizes()["float32"]["nodes"]
+        self.polynomials = native.polynomials_of(self.reader.filter.degree, s.trigonometry, count)
+        carrier = native.polynomials_of(self.reader.filter.degree, s.carrier, count)
+        self.tree = native.core().Tree(taps.even, taps.odd, taps.tap, taps.filter, s.wave, carrier)
 
     def prepare(
         self, traces: ComplexArray, part: npt.NDArray[np.int64], survey: Survey, kept: BoolArray, scale: float
@@ -47,19 +47,19 @@ class Compiled:
     def leaves(self, survey: Survey, level: SubImages, store: Single, slack: float, smooth: bool, tick: Tick) -> None:
         """As Steps."""
         s = self.setting
+        traces, to = native.traces_of(survey), _sub_images(level, store)
         native.core().leaves(
-            self.tree, self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.trace,
-            survey.model, survey.kind, level.span, level.place, level.shape, level.range, survey.lattice, store, slack, smooth,
-            s.threads, s.isa, tick,
-        )  # fmt: skip
+            self.tree, self.rows, self.polynomials, traces, level.span, to, slack, smooth, s.threads, s.isa, tick
+        )
 
     def merge(
         self, children: SubImages, below: Single, parent: SubImages, store: Single, add: bool, last: bool, top: bool
     ) -> None:
         """As Steps."""
+        span = np.array([0, len(children)])
         native.core().merge(
-            self.tree, np.array([0, len(children)]), children.place, children.shape, children.range, below, parent.place,
-            parent.shape, parent.range, store, add, last, top, self.setting.threads, self.setting.isa, None,
+            self.tree, span, _sub_images(children, below), _sub_images(parent, store), add, last, top, self.setting.threads,
+            self.setting.isa, None,
         )  # fmt: skip
 
     def read(
@@ -68,10 +68,11 @@ class Compiled:
     ) -> None:  # fmt: skip
         """As Steps."""
         first, step = (None, None) if lines is None else lines
-        axis, heights, number = (None, None, 0) if stack is None else (stack.axis, stack.heights, stack.number)
+        planes = None if stack is None else native.core().Stack(stack.axis, stack.heights, stack.number)
+        raster = native.core().Raster(first, step, points, mask, count)
         native.core().read(
-            self.tree, top.place, top.shape, top.range, store, first, step, points, axis, heights, number, mask, count,
-            tiles.astype(np.uint8), image, self.setting.threads, self.setting.isa, None,
+            self.tree, _sub_images(top, store), raster, planes, tiles.astype(np.uint8), image, self.setting.threads,
+            self.setting.isa, None,
         )  # fmt: skip
 
     def direct(
@@ -87,11 +88,11 @@ class Compiled:
         """As Steps."""
         s = self.setting
         first, step = (None, None) if lines is None else lines
-        flat = None if points is None else points[0]
-        return int(
-            native.core().add(
-                self.rows, self.reader.filter.degree, s.trigonometry[0], s.trigonometry[1], survey.trace, survey.model,
-                survey.kind, self.nodes, self.fit, first, step, flat, pixels, count, survey.lattice, None, image, s.threads,
-                s.isa, tick,
-            )
-        )  # fmt: skip
+        raster = native.core().Raster(first, step, None if points is None else points[0], pixels, count)
+        traces = native.traces_of(survey)
+        return int(native.core().add(self.rows, self.polynomials, traces, raster, None, image, s.threads, s.isa, tick))
+
+
+def _sub_images(level: SubImages, store: Single) -> Any:
+    """As the kernels take them."""
+    return native.core().SubImages(level.place, level.shape, level.range, store)

@@ -133,7 +133,7 @@ def _choose_filter(
     size = length * rate * (filter.degree + 1) * (8 if shared["precision"] == "float32" else 16)
     return Choices(
         degree=filter.degree, oversampling=rate, n_fft=n_fft, n_fine=double * n_fft, length=length, margin=margin, taper=taper,
-        beta=beta, batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=len(filter.first), step=filter.step,
+        beta=beta, batch=max(8, int(BATCH_BYTES / size) // 8 * 8), errors=errors, phases=filter.phases, step=filter.step,
         taps=filter.taps, wide=bool(wide), **shared,
     )  # fmt: skip
 
