@@ -245,7 +245,8 @@ void Plan::keep() {
 // block.
 bool Plan::choose_delay(double tol, const Shares& shares, double nearest) {
     const double share = 0.1 * tol, eps = narrow_ ? 0x1p-24 : 0x1p-53;
-    for (const int terms : narrow_ ? Sizes<float>::terms : Sizes<double>::terms) {
+    for (const int k : {0, 1}) {
+        const int terms = narrow_ ? Sizes<float>::terms[k] : Sizes<double>::terms[k];
         if (fit_trigonometry(terms, sine_, cosine_) <= share / 2) break;
     }
     nodes_.count = narrow_ ? Sizes<float>::nodes : Sizes<double>::nodes;
