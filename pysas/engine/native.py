@@ -206,6 +206,7 @@ def accumulate(
         clock = time.perf_counter()
         rows = table[: part.size]
         some = survey.part(begin, begin + part.size)
+        kept = traces_of(some)
         fill(traces, part, some.start, some.weights, scale, reader, rows, threads, isa)
         now = time.perf_counter()
         prepared += now - clock
@@ -226,7 +227,7 @@ def accumulate(
             first, step = (raster.first, raster.step) if raster.straight else (None, None)
             pixels = engine.Raster(first, step, points, mask, raster.count)
             own = None if some.own is None else some.own[lo:]
-            terms += engine.add(rows, polynomials, traces_of(some), pixels, own, image[:, lo:hi], threads, isa, tick)
+            terms += engine.add(rows, polynomials, kept, pixels, own, image[:, lo:hi], threads, isa, tick)
         summed += time.perf_counter() - now
     return Totals(prepared, summed, terms)
 

@@ -107,7 +107,7 @@ def _add(
     if plan.forest is not None:
         return factorised.accumulate(
             plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
-            plan.engine.isa(), progress,
+            progress,
         )  # fmt: skip
 
     def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:

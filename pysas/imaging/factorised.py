@@ -58,7 +58,7 @@ class _Levels:
 
 def accumulate(
     plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Survey], scale: float,
-    trigonometry: Trigonometry, carrier: Trigonometry, image: ComplexArray, isa: str, progress: Callable[[float], None] | None,
+    trigonometry: Trigonometry, carrier: Trigonometry, image: ComplexArray, progress: Callable[[float], None] | None,
 ) -> Totals:  # fmt: skip
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
     forest, choices = plan.forest, plan.choices
@@ -69,7 +69,7 @@ def accumulate(
     trees = [(section, t) for section in forest.sections for t in section.trees]
     whole = sum(len(t.order) for _, t in trees)
     longest = max(end - begin for _, t in trees for begin, end, _, _ in batches(t, choices.batch))
-    setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, plan.threads, isa)
+    setting = Setting(forest.layout.taps, 2 * scene.fc / scene.c, trigonometry, carrier, plan.threads, plan.engine.isa())
     steps = plan.engine.steps(setting, plan.reader, longest)
     sub_images = _Levels(steps)
     prepared = summed = 0.0
