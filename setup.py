@@ -28,7 +28,8 @@ else:
     FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
     LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
 
-CORE = sorted(str(path) for path in Path("csrc/core").glob("*.cpp"))
+CORE = [str(path) for room in ("core", "planning") for path in sorted(Path("csrc", room).glob("*.cpp"))]
+CORE.append("csrc/bind/c_api.cpp")
 TABLE = [
     line.split("|")
     for line in Path("csrc/isa/sets.txt").read_text(encoding="utf-8").splitlines()

@@ -77,7 +77,7 @@ MUTATIONS = (
     ),
     Mutation("interpolation of a tree", "1/12", "pysas/planning/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
     Mutation(
-        "rays of a tree", "0.7", "csrc/core/subapertures.cpp",
+        "rays of a tree", "0.7", "csrc/planning/subapertures.cpp",
         "pi / (rate * (spare_across", "pi / (0.7 * rate * (spare_across",
     ),
     Mutation(
@@ -116,10 +116,10 @@ class Tree:
         self._rebuild(mutation.file)
 
     def _rebuild(self, file: str) -> None:
-        """Compile a file of csrc/core and link the extension and the library again; all of it the first time."""
+        """Compile a file of csrc and link the extension and the library again; all of it the first time."""
         if file.startswith("pysas/engine/"):  # Numba looks at no file but the function's own
             shutil.rmtree(self.folder / "pysas" / "engine" / "__pycache__", ignore_errors=True)
-        if not file.startswith("csrc/core/"):
+        if not file.startswith(("csrc/core/", "csrc/planning/")):
             return
         if self.objects is None:
             build = [sys.executable, "setup.py", "build_ext", "--inplace", "--build-temp", "objects"]
@@ -128,7 +128,8 @@ class Tree:
         else:
             target = self.objects.parent / Path(file).with_suffix(".o")
             subprocess.run(["c++", *FLAGS, "-c", file, "-o", target], cwd=self.folder, check=True)
-            core = sorted(self.objects.glob("core/*.o")) + sorted(self.objects.glob("isa/*.o"))
+            core = [path for room in ("core", "planning", "isa") for path in sorted(self.objects.glob(f"{room}/*.o"))]
+            core.append(self.objects / "bind" / "c_api.o")
             extension = next((self.folder / "pysas" / "engine").glob("_core*.so"))
             library = next((self.folder / "pysas" / "lib").glob("libpysas.*"))
             for objects, out in (([*core, self.objects / "bind" / "module.o"], extension), (core, library)):

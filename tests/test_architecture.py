@@ -72,7 +72,7 @@ def test_core_knows_no_python() -> None:
     for bad in ("#include <Python.h>", '#include "pybind11/numpy.h"', "pybind11::object x;"):
         assert python_in(bad)
     assert not python_in("// no pybind11 here\n#include <cstdint>\n")
-    core = sources("include", "core", "kernels", "isa", "tests")
+    core = sources("include", "planning", "core", "kernels", "isa", "tests")
     assert core
     assert {name: found for name, text in core.items() if (found := python_in(text))} == {}
 

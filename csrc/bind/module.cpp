@@ -20,8 +20,8 @@
 #include "core/factorised.hpp"
 #include "core/filters.hpp"
 #include "core/leaving.hpp"
-#include "core/subapertures.hpp"
 #include "core/summation.hpp"
+#include "planning/subapertures.hpp"
 
 namespace py = pybind11;
 

@@ -4,7 +4,7 @@
 #include <new>
 
 #include "core/errors.hpp"
-#include "core/plan.hpp"
+#include "planning/plan.hpp"
 #include "pysas.h"
 
 struct pysas_plan {

@@ -10,9 +10,9 @@
 #include <vector>
 
 #include "core/filters.hpp"
-#include "core/forest.hpp"
 #include "core/kernels.hpp"
 #include "core/summation.hpp"
+#include "planning/forest.hpp"
 #include "pysas.h"
 
 namespace pysas {

@@ -5,9 +5,9 @@
 
 #include "core/errors.hpp"
 #include "core/factorised.hpp"
-#include "core/layouts.hpp"
-#include "core/plan.hpp"
 #include "core/polynomials.hpp"
+#include "planning/layouts.hpp"
+#include "planning/plan.hpp"
 
 namespace pysas {
 namespace {

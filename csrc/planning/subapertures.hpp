@@ -7,7 +7,7 @@
 
 #include "core/kernels.hpp"
 #include "core/points.hpp"
-#include "core/taps.hpp"
+#include "planning/taps.hpp"
 
 namespace pysas {
 

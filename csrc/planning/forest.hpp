@@ -1,13 +1,13 @@
 // A tree of sub-apertures for each of the longest groups of traces, the tiles of the image read from it, and those
-// summed directly. The same as pysas/planning/forest.py makes; choices are made by the caller (core/layouts.hpp).
+// summed directly. The same as pysas/planning/forest.py makes; choices are made by the caller (planning/layouts.hpp).
 #pragma once
 
 #include <cstdint>
 #include <optional>
 #include <vector>
 
-#include "core/subapertures.hpp"
 #include "core/summation.hpp"
+#include "planning/subapertures.hpp"
 
 namespace pysas {
 

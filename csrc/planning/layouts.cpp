@@ -1,4 +1,4 @@
-#include "core/layouts.hpp"
+#include "planning/layouts.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "core/taps.hpp"
+#include "planning/taps.hpp"
 
 #include <algorithm>
 #include <cmath>

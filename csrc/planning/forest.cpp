@@ -1,4 +1,4 @@
-#include "core/forest.hpp"
+#include "planning/forest.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "core/plan.hpp"
+#include "planning/plan.hpp"
 
 #include <algorithm>
 #include <cmath>

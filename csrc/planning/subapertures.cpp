@@ -1,4 +1,4 @@
-#include "core/subapertures.hpp"
+#include "planning/subapertures.hpp"
 
 #include <algorithm>
 #include <cmath>

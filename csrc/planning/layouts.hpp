@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <optional>
 
-#include "core/subapertures.hpp"
 #include "core/summation.hpp"
+#include "planning/subapertures.hpp"
 
 namespace pysas {
 
