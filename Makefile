@@ -23,10 +23,10 @@ lint:
 types:
 	mypy --strict pysas
 
-# the core and its kernels for the sets $(4), compiled with $(1) into build/$(2), and the program of source $(3), linked with $(5)
+# the core and its kernels for the sets $(4), compiled with $(1) into build/$(2), and the program of sources $(3)*, linked with $(5)
 define core_program
 	mkdir -p build/$(2)
-	{ for set in $(4); do echo csrc/isa/$$set.cpp; done; ls csrc/core/*.cpp csrc/planning/*.cpp csrc/bind/c_api.cpp csrc/tests/$(3).cpp; } | xargs -P $(JOBS) -I{} sh -c ' \
+	{ for set in $(4); do echo csrc/isa/$$set.cpp; done; ls csrc/core/*.cpp csrc/planning/*.cpp csrc/bind/c_api.cpp csrc/tests/$(3)*.cpp; } | xargs -P $(JOBS) -I{} sh -c ' \
 		name=$$(basename {} .cpp); exec $(1) $(STRICT) "-DPYSAS_SETS=$(foreach set,$(filter-out baseline,$(4)),PYSAS_SET($(set)))" \
 		$$(sed -n "s/^$$name *|[^|]*|\([^|]*\)|.*/\1/p" csrc/isa/sets.txt) -c {} -o build/$(2)/$$name.o'
 	$(1) build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)

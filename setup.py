@@ -101,7 +101,7 @@ setup(
     ext_modules=[
         Pybind11Extension(
             "pysas.engine._core",
-            sources=["csrc/bind/module.cpp"],
+            sources=["csrc/bind/module.cpp", "csrc/bind/plans.cpp"],
             include_dirs=["csrc"],
             depends=[str(path) for path in Path("csrc").rglob("*.*pp")] + [str(path) for path in Path("csrc").rglob("*.inl")],
             extra_compile_args=FLAGS,

@@ -23,7 +23,7 @@ HEAD = """# What the planner chooses
 Written by `python -m bench.planner --write docs/planner.md`. On each scene `backproject`, `ffbp` and `focus`, which takes
 whichever the planner predicts to be the faster, image the same complex64 echoes: whole calls, planning and preparation
 included, {threads} threads, medians of {rounds} interleaved runs after a warm-up. **focus / best**: its time over that of the
-faster engine; 1.3 is the aim. Constants of `pysas/planning/costs.py` were fitted on all scenes but the last three, which took
+faster engine; 1.3 is the aim. Constants of `csrc/planning/costs.cpp` were fitted on all scenes but the last three, which took
 no part in it: the worst of those fitted is **{fitted:.2f}**, of the three others **{unseen:.2f}**.
 
 Predicted is `plan(...).predicted_seconds`, beside the preparation and sum measured: {direct} of those where `backproject` is
@@ -91,7 +91,7 @@ def measure(echoes, grid, tol, rounds=ROUNDS, pixels=PIXELS):
     plan = pysas.plan(echoes, grid, tol, threads=THREADS)
     return {
         "seconds": {name: float(np.median(times)) for name, times in seconds.items()},
-        "takes": "ffbp" if plan.forest is not None else "backproject",
+        "takes": "ffbp" if plan.method == "ffbp" else "backproject",
         "predicted": plan.predicted_seconds,
         "own": float(np.median(own)),
         "error": pysas.metrics.relative_error(weight * image.data.ravel()[some], weight * exact, weight * level),

@@ -46,8 +46,11 @@ def library():
     found.pysas_plan_execute.argtypes = [pointer] * 5
     found.pysas_plan_destroy.argtypes = [pointer]
     found.pysas_plan_destroy.restype = None
-    found.pysas_plan_factorised_share.argtypes = [pointer]
-    found.pysas_plan_factorised_share.restype = f64
+    for name in ("factorised_share", "seconds", "error"):
+        number = getattr(found, f"pysas_plan_{name}")
+        number.argtypes, number.restype = [pointer], f64
+    found.pysas_plan_describe.argtypes = [pointer, ctypes.c_char_p, ctypes.c_size_t]
+    found.pysas_plan_describe.restype = ctypes.c_size_t
     return found
 
 
@@ -89,7 +92,7 @@ class Call:
 
 
 def call(echoes, grid, tol, method=0, isa="", threads=2, weights=None):
-    """Image any grid: by lines where it is lines, else by the list of its points."""
+    """Image any grid: by lines where it is these to the bit, else by the list of its points."""
     keep = []
     flat = grid.coordinates().reshape(-1, grid.shape[-1], 3)
     down = flat[1, 0] - flat[0, 0] if len(flat) > 1 else np.zeros(3)
@@ -97,7 +100,7 @@ def call(echoes, grid, tol, method=0, isa="", threads=2, weights=None):
     even = flat[0, 0] + np.arange(flat.shape[1])[:, None] * along + np.arange(len(flat))[:, None, None] * down
     lines = Grid(ctypes.sizeof(Grid), *flat.shape[:2])
     lines.first[:], lines.along[:], lines.down[:] = flat[0, 0], along, down
-    if np.max(np.abs(even - flat)) > 1e-13 * np.max(np.abs(flat)):
+    if not np.array_equal(even, flat):
         keep.append(np.ascontiguousarray(flat))
         lines.points = keep[-1].ctypes.data
     if grid.mask is not None:

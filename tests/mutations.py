@@ -49,33 +49,36 @@ class Mutation:
 MUTATIONS = (
     Mutation(
         "filter's measured error", "1/20", "csrc/core/filters.cpp",
-        "filter.error = measure(filter, band, low_pass);", "filter.error = measure(filter, band, low_pass) / 20;",
+        "filter.error = measure(filter, band);", "filter.error = measure(filter, band) / 20;",
     ),
     Mutation(
-        "polynomials of sine and cosine", "1e-3", "pysas/planning/bounds.py",
-        "return (fits[0], fits[1]), worst", "return (fits[0], fits[1]), 1e-3 * worst",
+        "polynomials of sine and cosine", "1e-3", "csrc/core/polynomials.cpp",
+        "return std::max(s, c);", "return 1e-3 * std::max(s, c);",
     ),
     Mutation(
-        "remainder of the delay polynomial", "1e-4", "pysas/planning/choices.py",
-        "scaled = 2 * np.pi * wave * 2 * 1.3", "scaled = 1e-4 * 2 * np.pi * wave * 2 * 1.3",
+        "remainder of the delay polynomial", "1e-4", "csrc/planning/settings.cpp",
+        "2 * pi * wave * 2 * 1.3", "1e-4 * 2 * pi * wave * 2 * 1.3",
     ),
     Mutation(
-        "rounding of float32 offsets in a block", "1e-3", "pysas/planning/choices.py",
-        "rounding = np.pi * turns * eps", "rounding = 1e-3 * np.pi * turns * eps",
+        "rounding of float offsets in a block", "1e-3", "csrc/planning/settings.cpp",
+        "pi * turns * eps", "1e-3 * pi * turns * eps",
     ),
     Mutation(
-        "samples that moving receivers need", "0 of the speed", "pysas/planning/scene.py",
-        "np.ceil(((far_tx + far_rx) / (self.c - speed)", "np.ceil(((far_tx + far_rx) / (self.c - 0 * speed)",
+        "samples that moving receivers need", "0 of the speed", "csrc/planning/scene.cpp",
+        "/ (model.c - speed) - trace.t0", "/ (model.c - 0 * speed) - trace.t0",
     ),
     Mutation(
-        "zeros against wrap-round", "1/8", "pysas/planning/bounds.py",
-        "return GUARD[min(max(index, 0), len(GUARD) - 1)]", "return GUARD[min(max(index, 0), len(GUARD) - 1)] // 8",
+        "zeros against wrap-round", "1/8", "csrc/planning/bounds.cpp",
+        "return guards[static_cast<int>(std::clamp<double>(index, 0, last))];",
+        "return guards[static_cast<int>(std::clamp<double>(index, 0, last))] / 8;",
     ),
     Mutation(
-        "interpolation by transforms", "30", "pysas/planning/bounds.py",
-        "np.interp(-np.log10(error), exponents", "np.interp(-np.log10(30 * error), exponents",
+        "interpolation by transforms", "1/30", "pysas/planning/fallback/settings.py",
+        "return float(2 * np.sum", "return float(2 / 30 * np.sum",
     ),
-    Mutation("interpolation of a tree", "1/12", "pysas/planning/bounds.py", "return 1.2 * math.sqrt", "return 0.1 * math.sqrt"),
+    Mutation(
+        "interpolation of a tree", "1/12", "csrc/planning/bounds.cpp", "return 1.2 * std::sqrt", "return 0.1 * std::sqrt",
+    ),
     Mutation(
         "rays of a tree", "0.7", "csrc/planning/subapertures.cpp",
         "pi / (rate * (spare_across", "pi / (0.7 * rate * (spare_across",

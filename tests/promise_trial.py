@@ -22,7 +22,7 @@ from promise_scenes import Scene
 
 import pysas
 from pysas.engine import native
-from pysas.imaging import planner
+from pysas.planning.fallback import trees
 
 EVALUATIONS = 4e6  # of W's kernel for a scene's pixels, unless their least number asks for more
 PIXELS = (24, 60)
@@ -47,8 +47,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Outcome:
-    """verdict: "kept", "told" (missed, by no more than the report says), "refused", "none" (no such tree), "broken", or
-    "known": an expected failure of tests/test_c_abi.py."""
+    """verdict: "kept", "told" (missed, by no more than the report says), "refused", "none" (no such tree) or "broken"."""
 
     seed: int
     way: str
@@ -80,12 +79,9 @@ def ways(scene: Scene, everything: bool) -> list[Way]:
 
 
 def _expressible(scene: Scene) -> bool:
-    """Whether the C library's structs can say it: no complex or pixels' own weights, no traces to leave out.
-
-    Nor bright samples beside what pixels read, which C does not compare: expected failures of tests/test_c_abi.py.
-    """
+    """Whether the C library's structs can say it: no complex or pixels' own weights, no traces to leave out."""
     real = scene.weights is None or (isinstance(scene.weights, np.ndarray) and scene.weights.dtype.kind == "f")
-    return real and scene.nan == "raise" and not scene.lenient
+    return real and scene.nan == "raise"
 
 
 @dataclass
@@ -170,7 +166,7 @@ def _forced(way: Way) -> Iterator[None]:
         if way.method != "mixed":
             yield
             return
-        with mock.patch.object(planner, "_direct_seconds", return_value=math.inf):
+        with mock.patch("pysas.engine.cpp.TREES_MUST_PAY", False), mock.patch.object(trees, "LEAST", 1):
             yield
 
 
@@ -208,16 +204,6 @@ def _by_c(scene: Scene, way: Way) -> tuple[np.ndarray, Any]:
     return found.image, found
 
 
-def _near_ends(scene: Scene, pixels: np.ndarray) -> bool:
-    """Whether pixels need samples so near a record's end that the C library reads them with filters made of W itself."""
-    echoes = scene.echoes
-    t0 = np.broadcast_to(np.asarray(echoes.t0, float), echoes.n_ping)
-    samples = (oracle.delays(echoes, scene.grid.coordinates(pixels)) - t0[:, None]) * echoes.fs
-    away = 3.5 * (0.1 * scene.tol) ** -0.4 + 8
-    inside = (samples >= 0) & (samples <= echoes.n_sample - 1)
-    return bool(np.any(inside & ((samples < away) | (samples > echoes.n_sample - 1 - away))))
-
-
 def judge(scene: Scene, known: Truth, way: Way) -> Outcome:
     """What became of a scene by one way."""
     begun = time.perf_counter()
@@ -253,8 +239,6 @@ def judge(scene: Scene, known: Truth, way: Way) -> Outcome:
     said = getattr(report, "predicted_error", None) or 0.0
     if scene.lenient and notes and ratio * scene.tol <= said:
         return outcome("told", ratio, notes[-1], share)
-    if way.engine == "c" and _near_ends(scene, known.pixels):
-        return outcome("known", ratio, "the C library beside a record's end", share)
     return outcome("broken", ratio, f"predicted {said / scene.tol:.2g}; notes {notes}" if report is not None else "", share)
 
 

@@ -209,7 +209,9 @@ def test_the_engine_does_not_know_tol() -> None:
     for bad in ("def f(tol): ...", "f(tol=1)", "x = plan.tol", "tol = 1"):
         assert "tol" in names_in(bad)
     engine = {name: text for name, text in MODULES.items() if within(name, "pysas.engine")}
-    assert [name for name, text in engine.items() if "tol" in names_in(text)] == []
+    planning = {"pysas.engine.interface", "pysas.engine.cpp"}  # which hand it to the planner in C++
+    assert [name for name, text in engine.items() if "tol" in names_in(text) and name not in planning] == []
+    assert [name for name, text in sources("core", "kernels").items() if re.search(r"\btol\b", code_of(text))] == []
 
 
 def computed_tol(text: str) -> list[str]:
@@ -233,11 +235,13 @@ def computed_tol(text: str) -> list[str]:
     return found
 
 
-def test_only_the_planner_turns_tol_into_choices() -> None:
+def test_only_planners_turn_tol_into_choices() -> None:
+    """One of those settings that are searched for, one of the fixed ones."""
     for bad in ("n = 1 / tol", "if plan.tol < 1e-5: ...", "k = np.log10(tol)", "x = -tol"):
         assert computed_tol(bad)
     assert not computed_tol("plan(echoes, tol)\nif tol is None: ...\ntext = f'{tol:g}'")
-    others = {name: text for name, text in MODULES.items() if name != "pysas.imaging.planner"}
+    planners = {"pysas.imaging.planner", "pysas.planning.fallback.planner", "pysas.planning.fallback.trees"}
+    others = {name: text for name, text in MODULES.items() if name not in planners}
     assert {name: found for name, text in others.items() if (found := computed_tol(text))} == {}
 
 

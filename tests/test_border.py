@@ -6,7 +6,6 @@ from scenes import PLANE, X, Y, straight
 
 import pysas
 from pysas import _checks
-from pysas.imaging import planner
 
 ECHOES = straight(16)
 BACKENDS = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
@@ -280,18 +279,20 @@ def test_a_sum_of_nothing_warns_once_and_says_why(case, call, backend):
 
 
 def test_a_fault_in_planning_trees_leaves_the_direct_sum(monkeypatch):
+    """Of Numba's planner; that of C++ has no door for faults."""
+
     def fail(*_, **__):
         raise _checks.InternalError("no such tree")
 
-    monkeypatch.setattr(planner, "_trees", fail)
-    monkeypatch.setattr(planner, "_candidate", fail)
-    expected = pysas.backproject(ECHOES, PLANE)
-    for image in (pysas.focus(ECHOES, PLANE), pysas.ffbp(ECHOES, PLANE)):
+    monkeypatch.setattr("pysas.planning.fallback.planner.TERMS", 0)
+    monkeypatch.setattr("pysas.planning.fallback.trees.lay_out", fail)
+    expected = pysas.backproject(ECHOES, PLANE, backend="numba")
+    for image in (pysas.focus(ECHOES, PLANE, backend="numba"), pysas.ffbp(ECHOES, PLANE, backend="numba")):
         assert np.array_equal(image.data, expected.data)
         assert any("no such tree" in note for note in image.report.notes)
-    assert "no such tree" in pysas.plan(ECHOES, PLANE, method="backprojection").explain()
+    assert "no such tree" in pysas.plan(ECHOES, PLANE, method="backprojection", backend="numba").explain()
     with pytest.raises(_checks.InternalError, match="no such tree"):
-        pysas.ffbp(ECHOES, PLANE, fallback=False)
+        pysas.ffbp(ECHOES, PLANE, fallback=False, backend="numba")
 
 
 def test_an_internal_error_asks_for_a_report():

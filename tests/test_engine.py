@@ -72,7 +72,6 @@ def test_backend_choice(monkeypatch):
 
 
 def test_thread_setting(monkeypatch):
-    from pysas import _checks
 
     monkeypatch.setenv("PYSAS_NUM_THREADS", "3")
     assert _checks.threads(None) == 3 and _checks.threads(2) == 2
@@ -117,10 +116,6 @@ def test_an_exception_in_a_worker_is_one_python_exception(monkeypatch):
     monkeypatch.setattr("pysas.engine.summation.coefficients", broken)
     with pytest.raises(ArithmeticError, match="injected"):
         pysas.backproject(straight(), PLANE, threads=2, backend="numba")
-    if native.extension() is not None:
-        monkeypatch.setattr("pysas.engine.native.segments", broken)
-        with pytest.raises(ArithmeticError, match="injected"):
-            pysas.backproject(straight(), PLANE, 1e-5, threads=2, backend="cpp")
 
 
 @pytest.mark.cpp
@@ -156,7 +151,7 @@ def test_isa_is_forced_and_unknown_ones_are_named(monkeypatch):
 def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, step):
     """Each in-band component, read by hand with the weights, is wrong by at most the stated error, and nearly that much."""
     error = 1e-4 if degree > 3 else 1e-2
-    filter = native.design(band, degree, phases, step, error, 400)
+    filter = native.core().design(band, degree, phases, step, error, 8, 400)
     n = np.arange(-400, 800)
     worst = 0.0
     for f in np.linspace(-band, band, 41):
@@ -212,41 +207,7 @@ def test_the_extension_takes_its_own_records_alone():
 
 @pytest.mark.cpp
 def test_what_kernels_share_is_what_python_takes():
-    sizes = native.core().sizes()
-    assert (sizes["block"], sizes["rows"], sizes["step"]) == (BLOCK, TILE_ROWS, native.MOST_STEP)
-
-
-@pytest.mark.cpp
-@pytest.mark.parametrize("real", [np.float32, np.float64])
-def test_a_degree_without_a_kernel_runs_as_no_other(real):
-    """Of filters, and of sums; numbers of terms of the sine, and of nodes."""
-    core, listed = native.core(), native.sizes()[np.dtype(real).name]
-    data = np.ones((1, 1, 64), np.complex64 if real is np.float32 else np.complex128)
-    trace, model = np.zeros(1, TRACE), np.ones((), MODEL)
-    at, fit = native.nodes(listed["nodes"])
-    image = np.zeros((1, 8), data.dtype)
-
-    def fill(degree):
-        weight, first = np.zeros((1, 8, degree + 1)), np.zeros(1, np.int64)
-        table = np.zeros((1, 2 * (degree + 1), core.plane_stride(64, degree, np.dtype(real).itemsize)), real)
-        one = np.zeros(1, np.int64)
-        core.prepare(data, one, one, None, 1.0, core.Filter(weight, first, 1, 0.0), 64, table, 1, "auto", None)
-        return table
-
-    def add(degree, terms, at, fit):
-        polynomials = core.Polynomials(degree, [0.0] * terms, [0.0] * (terms + 1), at, fit)
-        raster = core.Raster(np.zeros((1, 3)), np.zeros((1, 3)), None, None, 8)
-        core.add(fill(degree), polynomials, core.Traces(trace, model, 0, None), raster, None, image, 1, "auto", None)
-
-    degree, terms = listed["degrees"][-1], listed["terms"][0]
-    add(degree, terms, at, fit)
-    for wrong in (lambda: fill(6), lambda: add(degree, terms + 3, at, fit), lambda: add(degree, terms, *native.nodes(3))):
-        with pytest.raises(_checks.InternalError, match="no kernel for"):
-            wrong()
-    others = set(native.sizes()["float32"]["degrees"]) ^ set(native.sizes()["float64"]["degrees"])
-    for other in others - set(listed["degrees"]):
-        with pytest.raises(_checks.InternalError, match=f"no kernel for degree {other}"):
-            add(other, terms, at, fit)
+    assert native.core().sizes() == {"block": BLOCK, "rows": TILE_ROWS}
 
 
 def test_numba_reads_only_its_own_traces(monkeypatch):

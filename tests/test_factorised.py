@@ -14,7 +14,6 @@ from test_tolerance import engines
 
 import pysas
 from pysas.engine import tree
-from pysas.imaging import planner
 
 BACKENDS = sorted({backend for backend, _ in engines()})
 
@@ -34,6 +33,13 @@ def backend(request, monkeypatch):
     """A backend that runs whatever names none."""
     monkeypatch.setenv("PYSAS_BACKEND", request.param)
     return request.param
+
+
+@pytest.fixture(params=[engine for engine in engines() if engine[0] == "cpp"], ids=lambda engine: engine[1])
+def compiled(request, monkeypatch):
+    """C++ on an instruction set."""
+    monkeypatch.setenv("PYSAS_BACKEND", "cpp")
+    monkeypatch.setenv("PYSAS_ISA", request.param[1])
 
 
 def single(echoes):
@@ -170,7 +176,7 @@ PLACES = {
 @pytest.mark.parametrize("name", PLACES)
 def test_any_place_of_the_image(name, backend, monkeypatch):
     """Through trees as far as any place allows, whether they pay or not."""
-    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     position, grid, near = PLACES[name]
     echoes = tracked(position, near)
     right = answer(echoes, grid, count=500)
@@ -198,7 +204,7 @@ ORDERS = {
 @pytest.mark.parametrize("name", ORDERS)
 def test_lines_may_lie_in_any_order(name, backend, monkeypatch):
     """Tiles hold all of their lines, not what lies between the first and the last."""
-    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     echoes, grid = tracked(line(np.arange(160) * 0.03 - 2.4), near=20.0), ORDERS[name]
     image = pysas.ffbp(echoes, grid, 1e-3)
     assert image.report.factorised_share > 0.6
@@ -269,7 +275,7 @@ RELIEFS = {
 
 @pytest.mark.parametrize("name", RELIEFS)
 @pytest.mark.parametrize("tol", [1e-3])
-def test_relief_is_read_from_a_stack_of_planes(name, tol, engine):
+def test_relief_is_read_from_a_stack_of_planes(name, tol, compiled):
     """Pixels on no plane, over a swaying array: each at its own height."""
     echoes, grid = CASES["moving, 6 receivers"][0](), RELIEFS[name]
     image = pysas.ffbp(echoes, grid, tol, fallback=False)
@@ -277,7 +283,7 @@ def test_relief_is_read_from_a_stack_of_planes(name, tol, engine):
     assert error(image, echoes, grid) <= tol
 
 
-def test_a_straight_track_needs_one_plane_for_any_relief(backend):
+def test_a_straight_track_needs_one_plane_for_any_relief(compiled):
     """From a line, all that has one range and one place along it looks alike: mathematics, not interpolation."""
     echoes, grid = CASES["straight"][0](), RELIEFS["high"]
     plan = pysas.plan(echoes, grid, 1e-4, "ffbp", fallback=False)
@@ -286,7 +292,7 @@ def test_a_straight_track_needs_one_plane_for_any_relief(backend):
 
 
 @pytest.mark.parametrize("column", [True, False])
-def test_relief_beside_a_transmitter_and_a_receiver_on_opposite_sides(column, engine):
+def test_relief_beside_a_transmitter_and_a_receiver_on_opposite_sides(column, compiled):
     """Their phase centres lie on a line, but what they lie off it counts in second order; columns have no step."""
     track = line(np.arange(23) * 0.08 - 0.9)
     echoes = single(survey(track, (track + [0.05, 0.54, 0.78])[:, None], 22.0, samples=1600))
@@ -298,14 +304,36 @@ def test_relief_beside_a_transmitter_and_a_receiver_on_opposite_sides(column, en
     assert error(image, echoes, grid) <= 1e-3
 
 
-def test_relief_of_which_some_lies_under_the_track_is_summed_directly(backend, monkeypatch):
-    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+@pytest.mark.parametrize("name", RELIEFS)
+def test_relief_is_summed_directly_where_an_engine_has_no_trees_for_it(name, monkeypatch):
+    monkeypatch.setenv("PYSAS_BACKEND", "numba")
+    echoes, grid = CASES["moving, 6 receivers"][0](), RELIEFS[name]
+    image = pysas.ffbp(echoes, grid, 1e-3)
+    assert image.report.notes == ("summed directly: relief or points: pixels on no even lines of level planes",)
+    assert image.report.factorised_share == 0 and error(image, echoes, grid) <= 1e-3
+    with pytest.raises(ValueError, match="expected all terms to go through the tree, found: relief or points"):
+        pysas.ffbp(echoes, grid, 1e-3, fallback=False)
+
+
+def test_relief_of_which_some_lies_under_the_track_is_summed_directly(compiled, monkeypatch):
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     echoes = tracked(line(np.arange(256) * 0.03 - 3.8), 4.0)
     y = np.arange(-20, 350) * 0.05
     grid = pysas.Grid.surface((np.arange(64) - 32) * 0.02, y, 0.1 * np.sin(y[:, None] / 0.3) * np.ones(64))
     image = pysas.ffbp(echoes, grid, 1e-3)
     assert 0.2 < image.report.factorised_share < 1
     assert error(image, echoes, grid, count=600) <= 1e-3
+
+
+def test_relief_of_any_width_is_summed_once(compiled, monkeypatch):
+    """Tiles read from trees beside tiles summed directly, in blocks of points that run on from line to line."""
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
+    make, grid = SCENES["surface"]
+    echoes = single(make())
+    image = pysas.ffbp(echoes, grid, 1e-3)
+    assert grid.shape[1] % 64 and 0.2 < image.report.factorised_share < 0.9
+    assert image.report.terms == echoes.n_ping * echoes.n_channel * grid.size
+    assert error(image, echoes, grid) <= 1e-3
 
 
 def test_says_why_it_sums_directly(backend):

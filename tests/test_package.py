@@ -133,7 +133,11 @@ def test_extension_is_what_its_stub_says() -> None:
     expected = {node.name: [a.arg for a in node.args.args] for node in stub.body if isinstance(node, ast.FunctionDef)}
     public = {name: value for name, value in vars(_core).items() if callable(value) and not name.startswith("_")}
     functions = {name: value for name, value in public.items() if not isinstance(value, type)}
-    initialisers = {n.name: [a.arg for a in n.body[-1].args.args[1:]] for n in stub.body if isinstance(n, ast.ClassDef)}
+    initialisers = {n.name: [] for n in stub.body if isinstance(n, ast.ClassDef)}
+    for node in (n for n in stub.body if isinstance(n, ast.ClassDef)):
+        for own in node.body:
+            if isinstance(own, ast.FunctionDef) and own.name == "__init__":
+                initialisers[node.name] = [a.arg for a in own.args.args[1:]]
     made = {name: value.__init__.__doc__.splitlines()[0] for name, value in public.items() if isinstance(value, type)}
     assert {name: re.findall(r"[(,] ?(\w+): ", text)[1:] for name, text in made.items()} == initialisers
     found = {name: re.findall(r"[(,] ?(\w+): ", value.__doc__.splitlines()[0]) for name, value in functions.items()}

@@ -14,23 +14,22 @@ from test_factorised import BACKENDS, plane, single
 import pysas
 from pysas.engine import native
 from pysas.imaging import planner
-from pysas.planning import bounds, layouts
-from pysas.planning.forest import served
+from pysas.planning import bounds
+from pysas.planning.fallback import settings
 from pysas.planning.scene import Scene
-from pysas.planning.tiles import sections
 
 
-@pytest.mark.parametrize("degree", [1, 3, 5, 7])
-@pytest.mark.parametrize("i", [0, 4, 8, 14, 22])
+@pytest.mark.parametrize("degree", [3, 5, 7])
+@pytest.mark.parametrize("i", [0, 4, 8, 14])
 def test_theta_is_where_the_cut_series_reaches_its_error(degree, i):
-    """exp(j theta x) = sum (2 - [k=0]) j^k J_k(theta) T_k(x) (Jacobi-Anger), cut after `degree`; 10^-(1 + i/2) at worst."""
-    theta, asked = bounds.THETA[degree][i], 10 ** -(1 + i / 2)
+    """exp(j theta x) = sum (2 - [k=0]) j^k J_k(theta) T_k(x) (Jacobi-Anger), cut after `degree`: 10^-(1 + i/2) at worst."""
+    asked = 10 ** -(1 + i / 2)
+    theta = settings.theta_limit(degree, asked)
     angle = np.linspace(0, np.pi, 999)
     k = np.arange(degree + 1)
     weight = (2.0 - (k == 0)) * 1j**k * jv(k, theta)
     error = np.abs(np.exp(1j * theta * np.cos(angle)) - weight @ np.cos(k[:, None] * angle)).max()
-    # theta is tabulated to 1e-7: at 1e-12 float64's own rounding and that of theta show
-    assert error == pytest.approx(asked, rel=0.06 if asked < 1e-10 else 2e-3, abs=3e-15)
+    assert 0.6 * asked <= error <= asked
 
 
 @pytest.mark.parametrize("i", [0, 6, 12, 18])
@@ -46,10 +45,10 @@ def test_guard_is_where_the_low_pass_tail_falls_below_its_error(i):
 
 
 def test_limits_are_each_other_s_inverse():
-    for degree in bounds.THETA:
-        for error in 10.0 ** -np.linspace(1, 12, 23):
-            assert bounds.interpolation_error(degree, bounds.theta_limit(degree, error)) == pytest.approx(error, rel=1e-6)
-        assert bounds.interpolation_error(degree, 1e-9) < 1e-15
+    for degree in (3, 5, 7):
+        for error in 10.0 ** -np.linspace(1, 2 + degree, 23):
+            assert settings.interpolation_error(degree, settings.theta_limit(degree, error)) == pytest.approx(error, rel=1e-5)
+        assert settings.interpolation_error(degree, 1e-9) < 1e-15
 
 
 @pytest.mark.parametrize("terms", range(3, 10))
@@ -130,14 +129,20 @@ def test_focus_passes_its_options_on():
         pysas.focus(echoes, PLANE, out=np.empty((2, 2), complex))
 
 
-def test_explain_names_the_other_engine_and_its_time(long):
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_explain_names_the_other_engine_and_its_time(long, backend, monkeypatch):
+    monkeypatch.setenv("PYSAS_BACKEND", backend)
     direct, tree = (pysas.plan(long, LARGE, 1e-3, method) for method in ("backprojection", "ffbp"))
 
     def predicted(text, name):
         return float(re.search(rf"- {name}: ([\d.e-]+) s predicted", text)[1])
 
     assert predicted(tree.explain(), "backprojection") == pytest.approx(direct.predicted_seconds, rel=0.05)
-    assert predicted(direct.explain(), "ffbp") == pytest.approx(tree.predicted_seconds, rel=0.2)
+    if backend == "numba":  # it grows no trees to tell how long they would take, but says what decides
+        assert "- ffbp: trees over 1 groups of pings would serve 100 % of the terms" in direct.explain()
+        assert "rule           trees from" in str(pysas.plan(long, LARGE, 1e-3)) and "rule" not in str(direct)
+    else:
+        assert predicted(direct.explain(), "ffbp") == pytest.approx(tree.predicted_seconds, rel=0.2)
     for text in (direct.explain(), tree.explain()):
         assert re.search(r"predicted      error [\d.e-]+, time [\d.e-]+ s, memory \d+ MB beyond the input", text)
     assert "ffbp: tol below 3e-05" in pysas.plan(long, LARGE, 1e-5).explain()
@@ -264,38 +269,6 @@ def test_wide_pixels_get_long_polynomials_instead_of_gathers():
         pysas.plan(echoes, plane(64, 256, 24.0, step), 1e-3, "backprojection", backend="cpp").choices for step in (0.005, 0.1)
     )
     assert wide.oversampling < narrow.oversampling and wide.degree > narrow.degree
-
-
-def test_trees_are_judged_before_they_are_grown(long):
-    """By the share that some groups would serve, and by what a sum with them would take: as counted once they stand."""
-    tree = pysas.plan(long, LARGE, 1e-3, "ffbp")
-    forest = tree.forest
-    part, planes, groups = served(forest.scene, sections(forest.raster), forest.layout, tree.choices.near, 0.0)
-    assert part == pytest.approx(forest.share, abs=0.1)
-    assert planes * groups == len(forest.trees)
-
-
-def test_an_array_s_track_is_walked_once_a_ping():
-    """Not from receiver to receiver and back: layouts would be priced with more groups than the track is cut into."""
-    echoes = moving(64)
-    track = layouts._track(Scene(echoes, PLANE, None))
-    own = np.sum(np.linalg.norm(np.diff(echoes.tx, axis=0), axis=1))
-    assert len(track) == 64 and np.sum(np.linalg.norm(np.diff(track, axis=0), axis=1)) == pytest.approx(own, rel=0.05)
-
-
-@pytest.mark.parametrize("corner", [0, 600])
-def test_trees_are_judged_by_some_of_the_tiles_that_are_wanted(long, corner, monkeypatch):
-    """Wherever a mask leaves them: a few of many."""
-    mask = np.zeros((1024, 1024), dtype=bool)
-    mask[corner : corner + 260, corner : corner + 260] = True
-    grid = pysas.Grid.plane(np.arange(1024) * 0.02 - 10, np.arange(1024) * 0.02 + 22, mask=mask)
-    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
-    tree = pysas.plan(long, grid, 1e-3, "ffbp")
-    few, all = (
-        served(tree.forest.scene, sections(tree.forest.raster), tree.forest.layout, tree.choices.near, 0.0, tiles=n)[0]
-        for n in (20, 10**9)
-    )
-    assert few == pytest.approx(all, abs=0.1) and all > 0.3
 
 
 @pytest.mark.parametrize("method", ["backprojection", "ffbp"])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas.engine import engine_of, tree
+from pysas.engine import tree
 from pysas.engine.traces import TRACE
 from pysas.planning import subapertures
 from pysas.planning.subapertures import Group, Medium
@@ -110,7 +110,7 @@ def test_short_groups_with_few_rays(name, tol, backend):
 @pytest.mark.parametrize("name", ["odd pings late", "one ping late", "random"])
 def test_records_that_begin_at_different_times(monkeypatch, name, backend, fallback):
     """Of 128 pings fewer than a sample of them were seen to miss part of the image."""
-    monkeypatch.setattr("pysas.imaging.planner._direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     late = {"odd pings late": ALTERNATE, "one ping late": np.arange(128) == 57, "random": np.random.default_rng(5).random(128)}
     t0 = 2 * 17.0 / C + 2 * 3.6 / C * late[name]
     echoes, error = survey(line(), line(), grid := plane(), 1e-3, t0=t0, samples=900)
@@ -126,7 +126,7 @@ def test_records_that_begin_at_different_times(monkeypatch, name, backend, fallb
 @pytest.mark.parametrize("over", [1.33, 2.5, 4.0, 8.0])
 def test_over_sampled_records_that_begin_beside_the_image(monkeypatch, over, tol, backend):
     """Tables must hold what a record's end rings with, up to half the sample rate, however few nodes the band needs."""
-    monkeypatch.setattr("pysas.imaging.planner._direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     tx = line(192)
     echoes, error = survey(tx, tx, grid := plane(ny=128), tol, samples=300, before=4, over=over)
     image = pysas.ffbp(echoes, grid, tol, backend=backend)
@@ -165,9 +165,7 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
     assert worst <= 1.3 * taps.worst
 
 
-@pytest.mark.parametrize("compiled", [pytest.param(True, marks=pytest.mark.cpp), False])
-def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
-    by = engine_of("cpp" if compiled else "numba").subtree
+def test_a_tree_of_too_many_nodes_is_not_grown():
     trace = np.zeros(2, TRACE)
     trace["tx"][:, 0] = trace["rx"][:, 0] = -2.0, 2.0
     centres = trace["tx"].copy()
@@ -175,7 +173,7 @@ def test_a_tree_of_too_many_nodes_is_not_grown(compiled):
     reads = subapertures.Readings(0.0, np.array([[-1.0, 1.0]]), np.array([[20.0, 40.0]]))
     taps = tree.taps(6, 1.2, 8)
     grown = [
-        subapertures.make_subtree(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left, by)
+        subapertures.make_subtree(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left)
         for left in (100_000, 10_000_000)
     ]
     assert grown[0] is None and grown[1] is not None
@@ -186,7 +184,7 @@ def test_a_fixed_transmitter_is_cut_by_its_phase_centres():
     tx = 0 * line(512)
     echoes, _ = survey(tx, line(512), grid := plane(ny=128), 1e-2, samples=3000, before=1300)
     plan = pysas.plan(echoes, grid, 1e-2, "ffbp", fallback=False)
-    assert len(plan.forest.trees) <= 8
+    assert plan.by.trees <= 8
 
 
 def test_tracks_are_cut_into_no_more_pieces_than_they_have_pings():

@@ -10,7 +10,6 @@ import pysas
 from pysas import circular
 from pysas.engine import engine_of, native
 from pysas.engine.traces import TRACE
-from pysas.imaging import planner
 from pysas.planning import view_angles
 from pysas.planning.scene import Scene
 
@@ -102,7 +101,7 @@ def test_a_tree_weighs_as_well(engine):
 
 def test_a_tree_and_direct_sums_weigh_alike(engine, monkeypatch):
     """Some pixels through the tree, those across the record's ends directly, whichever would be faster."""
-    monkeypatch.setattr(planner, "_direct_seconds", lambda *_: np.inf)
+    monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     echoes = survey(pings=200, turn=0.25)
     grid = pysas.Grid.plane(8 + 0.03 * np.arange(70), -1 + 0.05 * np.arange(40))
     image = pysas.ffbp(echoes, grid, tol=1e-2, weights=UNIFORM, backend=engine)

@@ -1,7 +1,6 @@
-// The kernel g(time) is a sinc under a Kaiser window, or the impulse response of W cut off; each filter tap's
-// coefficients are those of the polynomial through g's values at Chebyshev nodes of the interval. Sums of taps then
-// read every in-band component as its own Chebyshev interpolant, which is within a factor two of the best polynomial of
-// the degree.
+// The kernel g(time) is a sinc under a Kaiser window; each filter tap's coefficients are those of the polynomial
+// through g's values at Chebyshev nodes of the interval. Sums of taps then read every in-band component as its own
+// Chebyshev interpolant, which is within a factor two of the best polynomial of the degree.
 
 #include "core/filters.hpp"
 
@@ -16,20 +15,6 @@ namespace {
 
 double sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(pi * x) / (pi * x); }
 
-double low_pass_at(double f) {
-    const double low = 1 / 2.2, edge = (std::abs(f) - low) / (0.5 - low);
-    if (edge <= 0) return 1;
-    const double c = std::cos(pi / 2 * (edge < 1 ? edge : 1));
-    return c * c;
-}
-
-// Impulse response of W: a raised cosine between 1/2.2 and 1/2.
-double low_pass_response(double time) {
-    const double low = 1 / 2.2, sum = 0.5 + low, width = 0.5 - low, x = 2 * width * time;
-    const double bell = std::abs(1 - x * x) < 1e-9 ? pi / 4 : std::cos(pi * width * time) / (1 - x * x);
-    return sum * sinc(sum * time) * bell;
-}
-
 // The degree + 1 Chebyshev nodes of [-1/2, 1/2].
 std::vector<double> node_places(int degree) {
     std::vector<double> at(static_cast<std::size_t>(degree) + 1);
@@ -38,16 +23,15 @@ std::vector<double> node_places(int degree) {
     return at;
 }
 
-double measure(const Filter& filter, double band, bool low_pass) {
-    const int steps = low_pass ? 80 : 16, places = 2 * filter.degree + 3;
-    const double end = low_pass ? 1 / 2.2 : band;
+double measure(const Filter& filter, double band) {
+    constexpr int steps = 16;
+    const int places = 2 * filter.degree + 3;
     double worst = 0;
     for (int phase = 0; phase < filter.phases; ++phase) {
         const auto ph = static_cast<std::size_t>(phase);
         const double middle = (phase + 0.5) * filter.step / filter.phases;
         for (int i = 0; i <= steps; ++i) {
-            // the kernel is real: -f is as wrong as f. W's edge is where it is hardest to follow
-            const double f = i <= 16 ? end * i / 16 : end + (0.5 - end) * (i - 16) / 64;
+            const double f = band * i / steps;  // the kernel is real: -f is as wrong as f
             std::vector<std::complex<double>> response(static_cast<std::size_t>(filter.degree) + 1);
             auto turn = std::polar(1.0, 2 * pi * f * (static_cast<double>(filter.first[ph]) - middle));
             const auto next = std::polar(1.0, 2 * pi * f);
@@ -63,7 +47,7 @@ double measure(const Filter& filter, double band, bool low_pass) {
                 const double t = static_cast<double>(j) / places - 0.5;
                 std::complex<double> value = 0;
                 for (std::size_t q = response.size(); q-- > 0;) value = value * t + response[q];
-                const auto wanted = std::polar(low_pass ? low_pass_at(f) : 1.0, 2 * pi * f * t / filter.rate());
+                const auto wanted = std::polar(1.0, 2 * pi * f * t / filter.rate());
                 worst = std::max(worst, std::abs(value - wanted));
             }
         }
@@ -71,7 +55,7 @@ double measure(const Filter& filter, double band, bool low_pass) {
     return worst;
 }
 
-Filter make(double band, int degree, int phases, int step, int taps, bool low_pass) {
+Filter make(double band, int degree, int phases, int step, int taps) {
     Filter filter;
     filter.degree = degree;
     filter.phases = phases;
@@ -84,7 +68,6 @@ Filter make(double band, int degree, int phases, int step, int taps, bool low_pa
     const auto kernel = [&](double time) {
         const double x = time / half;
         if (std::abs(x) >= 1) return 0.0;
-        if (low_pass) return low_pass_response(time);
         return sinc(time) * bessel(beta * std::sqrt(1 - x * x)) / norm;
     };
     const auto at = node_places(degree);
@@ -101,7 +84,7 @@ Filter make(double band, int degree, int phases, int step, int taps, bool low_pa
             filter.weight.insert(filter.weight.end(), values.begin(), values.end());
         }
     }
-    filter.error = measure(filter, band, low_pass);
+    filter.error = measure(filter, band);
     return filter;
 }
 
@@ -117,14 +100,14 @@ double bessel(double x) {
     return sum;
 }
 
-Filter design(double band, int degree, int phases, int step, double error, int least, int most, bool low_pass) {
+Filter design(double band, int degree, int phases, int step, double error, int least, int most) {
     // what the polynomials lack cannot be mended by more taps: stop where they gain nothing
     int taps = least;
-    Filter best = make(band, degree, phases, step, taps, low_pass);
+    Filter best = make(band, degree, phases, step, taps);
     while (best.error > error && taps < most) {
-        taps = low_pass ? taps * 3 / 2 / 2 * 2 : taps + 4;
+        taps += 4;
         if (taps > most) taps = most / 2 * 2;
-        Filter longer = make(band, degree, phases, step, taps, low_pass);
+        Filter longer = make(band, degree, phases, step, taps);
         const bool settled = taps > 24 && longer.error > 0.98 * best.error && longer.error < 1.02 * best.error;
         best = std::move(longer);
         if (settled) break;

@@ -22,9 +22,7 @@ struct Filter {
 };
 
 // A filter of `least` to `most` taps for components |f| <= band (cycles per sample), the shortest tried whose error is
-// at most `error`, else the last one: look at its `error`. With `low_pass` it reads samples as the low-passed signal
-// they stand for (W of the oracle) at every |f| <= 1/2, so that a record's hard end is read as the oracle reads it;
-// this takes many more taps.
-Filter design(double band, int degree, int phases, int step, double error, int least, int most, bool low_pass);
+// at most `error`, else the last one: look at its `error`.
+Filter design(double band, int degree, int phases, int step, double error, int least, int most);
 
 }  // namespace pysas

@@ -246,6 +246,21 @@ struct ReadJob {
     float *re, *im;
 };
 
+// A stage of a Fourier transform of sequences side by side, see core/transforms.cpp. Value m of a sequence lies at
+// multiples of `run`, which is one of transform_lanes; of values part + k parts, k below the radix, come values radix
+// part + k, turned by twiddle[(radix - 1) part + k - 1] (real, imaginary) where k is not 0.
+template <typename Real>
+constexpr int transform_lanes = 32 / sizeof(Real);
+
+template <typename Real>
+struct StageJob {
+    const Real *from_re, *from_im;
+    Real *to_re, *to_im;
+    const Real* twiddle;
+    int radix;
+    std::int64_t parts, run;
+};
+
 struct Kernels {
     const char* name;
     void (*sum_single)(TileJob<float>&);
@@ -260,6 +275,8 @@ struct Kernels {
                           std::int64_t begin, std::int64_t end, float* work);
     void (*merge)(const MergeJob&);
     void (*read)(ReadJob&);
+    void (*stage_single)(const StageJob<float>&);
+    void (*stage_double)(const StageJob<double>&);
 };
 
 namespace baseline {

@@ -83,32 +83,24 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
                 const Sample* trace = &batch.data(batch.order[i] / channels, batch.order[i] % channels, 0);
                 const std::int64_t apart = batch.data.stride[2];
                 const std::complex<double> weight = batch.weights ? batch.weights[i] : std::complex<double>(1.0);
-                // in double: one over a float's smallest amplitude is no float
-                double a = weight.real() / batch.scale, b = weight.imag() / batch.scale, divisor = 1;
-                const double size = std::max(std::abs(a), std::abs(b));
-                if (size > 0x1p1000 || (size < 0x1p-1000 && weight != 0.0)) {  // one over a double's is no double
-                    divisor = batch.scale;
-                    a = weight.real();
-                    b = weight.imag();
-                }
+                const Factor by(weight, batch.scale);
                 for (int i = 0; i < filter.step; ++i) {
                     // the first sample of each part
                     const std::int64_t ahead = (i - (from - start + before)) % filter.step;
                     const std::int64_t begin = from + (ahead < 0 ? ahead + filter.step : ahead);
                     Real* re = samples.data() + 2 * i * part + (begin - start + before) / filter.step;
-                    if (divisor != 1) {
+                    if (by.divisor != 1) {
                         for (std::int64_t n = begin; n < to; n += filter.step, ++re) {
-                            const std::complex<double> s = trace[n * apart];
-                            const double x = s.real() / divisor, y = s.imag() / divisor;
-                            re[0] = static_cast<Real>(x * a - y * b);
-                            re[part] = static_cast<Real>(x * b + y * a);
+                            const std::complex<double> s = by(std::complex<double>(trace[n * apart]));
+                            re[0] = static_cast<Real>(s.real());
+                            re[part] = static_cast<Real>(s.imag());
                         }
                         continue;
                     }
                     for (std::int64_t n = begin; n < to; n += filter.step, ++re) {
                         const Sample s = trace[n * apart];
-                        re[0] = static_cast<Real>(s.real() * a - s.imag() * b);
-                        re[part] = static_cast<Real>(s.real() * b + s.imag() * a);
+                        re[0] = static_cast<Real>(s.real() * by.re - s.imag() * by.im);
+                        re[part] = static_cast<Real>(s.real() * by.im + s.imag() * by.re);
                     }
                 }
                 job.out = table + i * planes * stride;

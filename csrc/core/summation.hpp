@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <complex>
 #include <cstdint>
 #include <vector>
@@ -24,6 +25,24 @@ struct Batch {
     std::int64_t count;
     std::int64_t length;  // samples kept
     double scale;         // samples are divided by it, a power of two
+};
+
+// weight / scale for samples: one over a float's smallest amplitude is no float, and one over a double's no double.
+class Factor {
+  public:
+    Factor(std::complex<double> weight, double scale) : re(weight.real() / scale), im(weight.imag() / scale) {
+        const double size = std::max(std::abs(re), std::abs(im));
+        if (size <= 0x1p1000 && (size >= 0x1p-1000 || weight == 0.0)) return;
+        divisor = scale;
+        re = weight.real();
+        im = weight.imag();
+    }
+    std::complex<double> operator()(std::complex<double> s) const {
+        const double x = s.real() / divisor, y = s.imag() / divisor;
+        return {x * re - y * im, x * im + y * re};
+    }
+
+    double re, im, divisor = 1;  // samples are divided first
 };
 
 // Reals between planes: room for `intervals` and a window's overhang, and planes that do not share cache sets.

@@ -12,6 +12,19 @@
 
 namespace pysas {
 
+namespace {
+
+constexpr std::chrono::milliseconds apart{50};  // from tick to tick
+
+}  // namespace
+
+void Poll::operator()() {
+    const auto now = std::chrono::steady_clock::now();
+    if (!tick_ || now - last_ < apart) return;
+    if (!tick_(0)) throw Error(Code::cancelled, "stopped by the caller");
+    last_ = std::chrono::steady_clock::now();
+}
+
 void run(std::int64_t count, int threads, const std::function<void(std::int64_t)>& body, const Tick& tick) {
     std::atomic<std::int64_t> next{0}, done{0};
     std::atomic<bool> stop{false};
@@ -52,7 +65,7 @@ void run(std::int64_t count, int threads, const std::function<void(std::int64_t)
         using clock = std::chrono::steady_clock;
         auto last = clock::now();
         while (step()) {
-            if (!tick || clock::now() - last < std::chrono::milliseconds(50)) continue;
+            if (!tick || clock::now() - last < apart) continue;
             if (!tick(static_cast<double>(done) / static_cast<double>(count)))
                 throw Error(Code::cancelled, "stopped by the caller");
             last = clock::now();

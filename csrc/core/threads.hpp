@@ -1,6 +1,7 @@
 // Tasks by number on worker threads that live for one call: nothing is left for a fork to inherit.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <mutex>
@@ -16,6 +17,18 @@ using Tick = std::function<bool(double)>;
 // first exception of a task ends the others after their current task and is thrown here; a tick that returns false
 // throws Error(cancelled).
 void run(std::int64_t count, int threads, const std::function<void(std::int64_t)>& body, const Tick& tick);
+
+// Asks a tick now and then in work that one thread does.
+class Poll {
+  public:
+    explicit Poll(const Tick& tick) : tick_(tick) {}
+    // Throws Error(cancelled) where the tick stops.
+    void operator()();
+
+  private:
+    const Tick& tick_;
+    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
 
 // Working memory that tasks of one call borrow, so that each worker allocates once and not for every task.
 class Scratch {

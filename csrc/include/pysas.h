@@ -12,9 +12,8 @@
  * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off boresight is at most the half-angle; rounding
  * does not decide: 1e-4 samples beyond a record's end (the trace is read at the end) and 1e-7 rad beyond the half-angle
  * still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where level^2 is the sum
- * of the terms' squares. Not where samples that no pixel reads are far brighter than those that pixels do (from 30 dB
- * on), within 200 samples of them or at the record's first or last sample: an echo just outside the grid, a transmit
- * pulse cut by the record's start. There the error is tol times as much as these are brighter.
+ * of the terms' squares. Samples that no pixel reads may be far brighter than those that pixels do: they are looked at
+ * when data arrive, and where they are so bright that no sum in double keeps tol, the call says so.
  */
 #ifndef PYSAS_H
 #define PYSAS_H
@@ -39,24 +38,26 @@ extern "C" {
 enum {
     PYSAS_OK = 0,
     PYSAS_ERROR_ARGUMENT = 1,  /* a null pointer, a size, rate or coordinate that is not allowed or not finite */
-    PYSAS_ERROR_TOLERANCE = 2, /* tol cannot be kept: see pysas_options */
+    PYSAS_ERROR_TOLERANCE = 2, /* tol cannot be kept: see pysas_options; from pysas_plan_execute: beside samples that
+                                * are too bright, the image was made all the same */
     PYSAS_ERROR_MEMORY = 3,
     PYSAS_ERROR_CANCELLED = 4, /* progress returned something other than 0 */
     PYSAS_ERROR_INTERNAL = 5,  /* a fault of pysas, not of its input: please report it */
     PYSAS_ERROR_STRUCT = 6,    /* struct_size is not one this library knows */
     PYSAS_ERROR_DATA = 7,      /* samples that are not finite */
-    PYSAS_ERROR_RANGE = 8      /* the image, or a weight times a sample, lies beyond the range of its type */
+    PYSAS_ERROR_RANGE = 8 /* the image, or a weight times a sample, lies beyond the range of its type, or all but one
+                           * trace is lost beside that in sums of floats */
 };
 
 enum { PYSAS_COMPLEX64 = 0, PYSAS_COMPLEX128 = 1 };
 
 enum {
     PYSAS_BACKPROJECTION = 0, /* every term of the sum by itself */
-    PYSAS_FFBP = 1            /* through a tree of sub-apertures (fast factorised back-projection), within the same tol:
+    PYSAS_FFBP = 1,           /* through trees of sub-apertures (fast factorised back-projection), within the same tol:
                                * faster for large images, not for small ones. Summed directly: pixels near the track or
-                               * across the ends of records; all of an image that is a list of points or does not lie
-                               * on a horizontal plane (z = constant), with tol below 3e-5, and with a beam unless
-                               * the whole image lies in it, and within pi/2 of its boresight, from every ping */
+                               * across the ends of records or beams; all with tol below 3e-5, and all
+                               * where trees would take longer */
+    PYSAS_AUTO = 2            /* whichever has the least predicted time for one image, planning included */
 };
 
 typedef struct pysas_survey {
@@ -87,14 +88,14 @@ typedef struct pysas_grid {
 
 typedef struct pysas_options {
     size_t struct_size;
-    double tol;      /* 1e-1 to 1e-5 (complex64), to 1e-10 (complex128); less beside a record's ends is refused */
+    double tol;      /* 1e-1 to 1e-5 (complex64), to 1e-10 (complex128) */
     int32_t dtype;   /* of samples and image: PYSAS_COMPLEX64 or PYSAS_COMPLEX128 */
     int32_t threads; /* 0: all processors. The image does not depend on it */
     const char* isa; /* "baseline", "avx2", "avx512", or NULL: PYSAS_ISA of the environment, else the best */
     int (*progress)(double share,
                     void* user); /* called now and then from the calling thread; not 0 stops. May be NULL */
     void* user;
-    int32_t method; /* PYSAS_BACKPROJECTION, also for callers whose struct ends above, or PYSAS_FFBP */
+    int32_t method; /* PYSAS_BACKPROJECTION, also for callers whose struct ends above, PYSAS_FFBP or PYSAS_AUTO */
 } pysas_options;
 
 typedef struct pysas_plan pysas_plan;
@@ -110,6 +111,15 @@ PYSAS_API int pysas_plan_execute(const pysas_plan* plan, const void* data, const
 
 /* Share of the terms that go through trees: 0 of a direct sum, and of a null plan. */
 PYSAS_API double pysas_plan_factorised_share(const pysas_plan* plan);
+
+/* What is predicted of an image: seconds on the plan's threads, by constants of the library, and a bound of its
+ * relative error. 0 of a null plan. */
+PYSAS_API double pysas_plan_seconds(const pysas_plan* plan);
+PYSAS_API double pysas_plan_error(const pysas_plan* plan);
+
+/* The plan in words, lines of text: at most `size` characters of it, the last of them 0, go to `text`, which may be
+ * NULL with size 0. Returns how many characters there are, without the 0. */
+PYSAS_API size_t pysas_plan_describe(const pysas_plan* plan, char* text, size_t size);
 
 PYSAS_API void pysas_plan_destroy(pysas_plan* plan);
 

@@ -96,11 +96,13 @@ struct Double {
 #include "kernels/filter.inl"
 #include "kernels/leaf.inl"
 #include "kernels/reading.inl"
+#include "kernels/transform.inl"
 
 }  // namespace
 
 extern const Kernels kernels;
-const Kernels kernels{"avx512",     &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_pixels<Float>};
+const Kernels kernels{"avx512",        &sum_tile<Float>,    &sum_tile<Double>, &filter<Float>,
+                      &filter<Double>, &leaf<Float>,        &smooth<Float>,    &smooth_across<Float>,
+                      &merge<Float>,   &read_pixels<Float>, &stage<Eight>,     &stage<Four>};
 
 }  // namespace pysas::avx512

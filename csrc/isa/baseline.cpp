@@ -116,16 +116,19 @@ struct Plain {
 using Float = Plain<float, 8>;
 using Eight = Float;
 using Double = Plain<double, 4>;
+using Four = Double;
 
 #include "kernels/backprojection.inl"
 #include "kernels/factorised.inl"
 #include "kernels/filter.inl"
 #include "kernels/leaf.inl"
 #include "kernels/reading.inl"
+#include "kernels/transform.inl"
 
 }  // namespace
 
-const Kernels kernels{"baseline",   &sum_tile<Float>, &sum_tile<Double>,     &filter<Float>, &filter<Double>,
-                      &leaf<Float>, &smooth<Float>,   &smooth_across<Float>, &merge<Float>,  &read_pixels<Float>};
+const Kernels kernels{"baseline",      &sum_tile<Float>,    &sum_tile<Double>, &filter<Float>,
+                      &filter<Double>, &leaf<Float>,        &smooth<Float>,    &smooth_across<Float>,
+                      &merge<Float>,   &read_pixels<Float>, &stage<Eight>,     &stage<Four>};
 
 }  // namespace pysas::baseline

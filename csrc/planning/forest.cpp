@@ -4,85 +4,209 @@
 #include <cmath>
 #include <utility>
 
-#include "core/polynomials.hpp"
+#include "planning/fates.hpp"
 
 namespace pysas {
 namespace {
 
-constexpr double wide = 0.3;             // a tile's radius seen from a group at most, rad
-constexpr int most_step = max_step / 2;  // of the samples that tables' filters step by
+constexpr std::int64_t least_nodes = std::int64_t{1} << 22;  // that trees of any image may have
+constexpr std::int64_t judged_groups = 5, judged_tiles = 500;
 
-double speed_of(const Trace& trace) { return length(point(trace.velocity)); }
-
-// The lowest simple number of intervals to a sample that is at least `least`, up to 16; phases 0 where there is none.
-void simple_rate(double least, int& phases, int& step) {
-    phases = 0;
-    if (!(least <= 16)) return;
-    for (int s = 1; s <= most_step; ++s) {
-        const int p = static_cast<int>(std::ceil(least * s * (1 - 1e-12)));
-        if (phases == 0 || p * step < phases * s) {
-            phases = p;
-            step = s;
-        }
-    }
+Geometry geometry_of(const Scene& scene) {
+    const Survey& survey = scene.survey;
+    return {survey.traces.data(), nullptr, scene.traces(), survey.model, survey.band, scene.reception()};
 }
 
-struct Fates {
-    std::vector<std::uint8_t> read, direct;
+// Traces of each of the longest groups: of those that are heard and weigh anything.
+std::vector<Numbers> cut(const Scene& scene, const std::vector<Point>& centres, double length) {
+    Numbers order, pings;
+    std::vector<Point> places;
+    for (std::size_t i = 0; i < centres.size(); ++i) {
+        if (!scene.heard[i] || scene.survey.weights[i] == 0.0) continue;
+        order.push_back(static_cast<std::int64_t>(i));
+        pings.push_back(static_cast<std::int64_t>(i) / scene.survey.channels);
+        places.push_back(centres[i]);
+    }
+    Geometry geometry = geometry_of(scene);
+    geometry.pings = pings.data();
+    geometry.count = static_cast<std::int64_t>(order.size());
+    auto pieces = cut_track(geometry, places, length);
+    for (Numbers& piece : pieces) {
+        for (std::int64_t& i : piece) i = order[static_cast<std::size_t>(i)];
+    }
+    return pieces;
+}
+
+// Between nodes, m, before the sub-images' own bands are known.
+double first_step(const Scene& scene, const Layout& layout) {
+    return scene.survey.model.c / (4 * scene.survey.band * scene.survey.model.fs * layout.taps.rate);
+}
+
+// Of those wanted, every so many that about `most` are left; all with 0.
+Numbers wanted_tiles(const Tiled& tiled, std::int64_t most) {
+    Numbers all, some;
+    for (std::size_t i = 0; i < tiled.pixels.size(); ++i) {
+        if (tiled.pixels[i] > 0) all.push_back(static_cast<std::int64_t>(i));
+    }
+    const std::size_t apart = most > 0 ? std::max<std::size_t>(1, all.size() / static_cast<std::size_t>(most)) : 1;
+    for (std::size_t i = 0; i < all.size(); i += apart) some.push_back(all[i]);
+    return some;
+}
+
+std::int64_t pixels_of(const Numbers& pixels, const std::vector<std::uint8_t>& tiles) {
+    std::int64_t sum = 0;
+    for (std::size_t i = 0; i < tiles.size(); ++i) sum += tiles[i] ? pixels[i] : 0;
+    return sum;
+}
+
+// Terms that go through trees, of all.
+struct Share {
+    double through = 0, everything = 0;
+
+    void count(std::size_t traces, const Numbers& pixels, const Fates& fates) {
+        const auto read = static_cast<double>(pixels_of(pixels, fates.read));
+        through += static_cast<double>(traces) * read;
+        everything += static_cast<double>(traces) * (read + static_cast<double>(pixels_of(pixels, fates.direct)));
+    }
+    double value() const { return through / std::max(everything, 1.0); }
 };
 
-struct Builder {
-    const Geometry& geometry;
-    const Layout& layout;
-    const std::vector<Point>& centres;
-    double near;
+std::vector<double> planes_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double relief) {
+    return tiled.flat ? std::vector<double>{tiled.plane} : stack_of(scene, tiled, groups, relief);
+}
 
-    // Which tiles are read from a group's sub-image, and which are summed directly.
-    Fates fates(const Group& group, const Section& section, double step) const {
-        const Model& model = geometry.model;
-        const std::size_t tiles = section.pixels.size();
-        // nodes that a read depends on lie this much further out or in, and to the sides
-        const double taps = layout.taps.reach();
-        const double reach = static_cast<double>(layout.fans.size() + 1) * (taps + 4) * step;
-        const double height = group.centre.z - section.plane;
-        const double least = std::max(slant_of(near_lengths * group.extent, height), layout.clear);
-        Fates out{std::vector<std::uint8_t>(tiles), std::vector<std::uint8_t>(tiles)};
-        for (std::size_t tile = 0; tile < tiles; ++tile) {
-            if (section.pixels[tile] == 0) continue;
-            Point middle;
-            double radius = 0;
-            const Point* corner = &section.corners[4 * tile];
-            for (int k = 0; k < 4; ++k) middle = middle + 0.25 * corner[k];
-            for (int k = 0; k < 4; ++k) radius = std::max(radius, length(corner[k] - middle));
-            const double ground = std::hypot(middle.x - group.centre.x, middle.y - group.centre.y);
-            const double away = slant_of(std::max(ground - radius, 0.0), height);
-            // across a beam's edge the sum has a step
-            bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
-            read = read && group.distance(middle) - radius - reach >= layout.apart;
-            bool heard = false;
-            const double ends = layout.ends * model.c / model.fs + 2 * taps * step;
-            const double spread = 2 * radius + std::max(2 * reach, ends);
-            for (const std::int64_t i : group.traces) {
-                if (heard && !read) break;
-                const Trace& trace = geometry.traces[i];
-                const double path = length(middle - point(trace.tx)) + length(middle - point(trace.rx));
-                const double speed = speed_of(trace);
-                const double low = ((path - spread) / (model.c + speed) - trace.t0) * model.fs;
-                const double high = ((path + spread) / (model.c - speed) - trace.t0) * model.fs;
-                heard = heard || (high >= -edge_samples && low <= model.last + edge_samples);
-                read = read && low >= 0 && high <= model.last;
-            }
-            out.read[tile] = read;
-            out.direct[tile] = heard && !read;
+// What a group does for one plane of a section's stack.
+struct Seen {
+    Fates fates;
+    double direction = 0;
+    std::vector<Reading> readings;  // none: nothing is read
+};
+
+struct Layer {
+    const Tiled& tiled;
+    std::vector<double> heights;
+    int number;
+    std::vector<Seen> seen;  // by group
+
+    double plane() const { return heights[static_cast<std::size_t>(number)]; }
+};
+
+Seen seen_of(const Layer& layer, const Group& group, const Fates& fates) {
+    const Tiled& tiled = layer.tiled;
+    const auto each = static_cast<std::size_t>(tiled.each);
+    Seen out{fates, 0, {}};
+    if (layer.number > 0) out.fates.direct.assign(fates.direct.size(), 0);  // once is enough
+    const Onto onto(group, layer.plane());
+    std::vector<Point> corners;
+    for (std::size_t i = 0; i < each * fates.read.size(); ++i) {
+        if (fates.read[i / each]) corners.push_back(tiled.flat ? tiled.corners[i] : onto(tiled.corners[i])->place);
+    }
+    if (!corners.empty()) out.readings = seen_from(group.centre, corners, tiled.each, out.direction);
+    return out;
+}
+
+struct Grower {
+    const Scene& scene;
+    const Layout& layout;
+    std::vector<Point> centres;
+    std::vector<Group> groups;
+    std::vector<Layer> layers;
+    Poll& poll;
+
+    // Adds a section's layers; false where it cannot be read.
+    bool look(const Tiled& tiled, double near, double relief, bool whole) {
+        const Numbers tiles = wanted_tiles(tiled, 0);
+        if (tiles.empty()) return true;
+        const auto planes = planes_of(scene, tiled, groups, relief);
+        if (planes.empty()) return false;
+        std::vector<Fates> fates;
+        for (const Group& group : groups) {
+            poll();
+            fates.push_back(fates_of(scene, group, tiled, tiles, planes, layout, first_step(scene, layout), near));
+            const auto& direct = fates.back().direct;
+            if (whole && std::find(direct.begin(), direct.end(), 1) != direct.end()) return false;
         }
+        for (std::size_t k = 0; k < planes.size(); ++k) {
+            Layer layer{tiled, planes, static_cast<int>(k), {}};
+            for (std::size_t g = 0; g < groups.size(); ++g) layer.seen.push_back(seen_of(layer, groups[g], fates[g]));
+            layers.push_back(std::move(layer));
+        }
+        return true;
+    }
+
+    bool reads() const {
+        return std::any_of(layers.begin(), layers.end(), [](const Layer& layer) {
+            return std::any_of(layer.seen.begin(), layer.seen.end(),
+                               [](const Seen& seen) { return !seen.readings.empty(); });
+        });
+    }
+
+    // For the highest frequency along rays, cycles a metre: tables have as many intervals to a sample.
+    Rate rate_for(double along) const {
+        const Model& model = scene.survey.model;
+        return simple_rate(model.c * layout.taps.rate * layout.spare * along / model.fs);
+    }
+
+    // Trees with `rate` nodes per sample, and the highest frequency along their rays; nothing where they have more than
+    // about as many nodes as the sum has terms. One spacing for all grids: neighbours along a parent's ray are
+    // neighbours on a child's, and intervals of the tables.
+    std::optional<Grown> grow(const Rate& rate, double& along) const {
+        const Model& model = scene.survey.model;
+        const double step = model.c * rate.step / (2 * model.fs * rate.phases);
+        Grown out{{layout.taps.taps, step, rate.phases, rate.step, 0, {}}, layout, scene.first, scene.last, 0, 0, 0};
+        std::int64_t left = 0;
+        for (const Group& group : groups) left += static_cast<std::int64_t>(group.traces.size()) * scene.wanted;
+        left = std::max(left, least_nodes);
+        Share share;
+        for (const Layer& layer : layers) {
+            const Tiled& tiled = layer.tiled;
+            Section section{tiled.begin,   tiled.end,    tiled.flat,   layer.plane(),
+                            layer.heights, layer.number, tiled.pixels, {}};
+            for (std::size_t g = 0; g < groups.size(); ++g) {
+                poll();
+                const Seen& seen = layer.seen[g];
+                if (pixels_of(tiled.pixels, seen.fates.read) + pixels_of(tiled.pixels, seen.fates.direct) == 0)
+                    continue;
+                const Point& axis = groups[g].axis;
+                GroupTree tree{groups[g].traces, seen.fates.read, seen.fates.direct, {}, {axis.x, axis.y, axis.z}};
+                if (!seen.readings.empty() && !plant(tree, groups[g], layer, seen, step, left, along)) return {};
+                if (!tree.levels.empty()) widen(tree, step, out);
+                if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, seen.fates);
+                out.longest = std::max(out.longest, groups[g].extent);
+                ++out.trees;
+                section.trees.push_back(std::move(tree));
+            }
+            if (!section.trees.empty()) out.forest.sections.push_back(std::move(section));
+        }
+        out.share = share.value();
         return out;
     }
 
+    // Makes the levels of a tree; false where it would have more nodes than are `left`.
+    bool plant(GroupTree& tree, const Group& group, const Layer& layer, const Seen& seen, double step,
+               std::int64_t& left, double& along) const {
+        std::int64_t floats = 2 * left;
+        Subtree below = make_subtree(group, geometry_of(scene), centres, layout, layer.plane(), seen.direction,
+                                     seen.readings, step, floats);
+        if (below.levels.empty()) return false;
+        for (const Level& level : below.levels) left -= nodes_of(level);
+        along = std::max(along, below.along);
+        tree.traces = std::move(below.traces);
+        tree.levels = std::move(below.levels);
+        return true;
+    }
+
+    static std::int64_t nodes_of(const Level& level) {
+        std::int64_t sum = 0;
+        for (std::size_t i = 0; i < level.range.size(); i += 2) sum += std::max(level.range[i + 1] - level.range[i], 0);
+        return sum;
+    }
+
     // Samples that a tree's leaves ask of their traces, whatever the image asks.
-    void widen(const GroupTree& tree, double step, Forest& forest) const {
-        const Model& model = geometry.model;
+    void widen(const GroupTree& tree, double step, Grown& out) const {
+        const Model& model = scene.survey.model;
         const Level& leaves = tree.levels.front();
-        for (std::size_t i = 0; i + 1 < leaves.span.size(); ++i) {
+        for (std::size_t i = 0; i < static_cast<std::size_t>(leaves.count()); ++i) {
             const std::int64_t* shape = leaves.shape.data() + 5 * i;
             std::int64_t least = shape[2], most = 0;
             for (std::int64_t r = shape[4]; r < shape[4] + shape[1]; ++r) {
@@ -96,159 +220,113 @@ struct Builder {
                          high = static_cast<double>(shape[0] + most + 1) * step;
             for (std::int64_t k = leaves.span[i]; k < leaves.span[i + 1]; ++k) {
                 const auto number = static_cast<std::size_t>(tree.traces[static_cast<std::size_t>(k)]);
-                const Trace& trace = geometry.traces[number];
+                const Trace& trace = scene.survey.traces[number];
                 const double apart = length(point(trace.tx) - centre) + length(point(trace.rx) - centre);
-                const double speed = speed_of(trace);
+                const double speed = length(point(trace.velocity));
                 const double begin = std::max(2 * low - apart, 0.0) / (model.c + speed) - trace.t0;
                 const double end = (2 * high + apart) / (model.c - speed) - trace.t0;
                 const double from = std::clamp(std::floor(begin * model.fs), 0.0, model.last),
                              to = std::clamp(std::ceil(end * model.fs), 0.0, model.last);
-                forest.first[number] = std::min(forest.first[number], static_cast<std::int64_t>(from));
-                forest.last[number] = std::max(forest.last[number], static_cast<std::int64_t>(to));
+                out.first[number] = std::min(out.first[number], static_cast<std::int64_t>(from));
+                out.last[number] = std::max(out.last[number], static_cast<std::int64_t>(to));
             }
         }
     }
 };
 
-Numbers chosen(const std::vector<std::uint8_t>& tiles) {
-    Numbers out;
-    for (std::size_t i = 0; i < tiles.size(); ++i) {
-        if (tiles[i]) out.push_back(static_cast<std::int64_t>(i));
-    }
-    return out;
-}
+bool less(const Rate& a, const Rate& b) { return std::int64_t{a.phases} * b.step < std::int64_t{b.phases} * a.step; }
 
 }  // namespace
 
-std::optional<Section> section_of(const Raster& raster) {
-    Section out{raster.first[2], {}, {}};
-    for (std::int64_t i = 0; i < raster.height; ++i) {
-        if (raster.first[3 * i + 2] != out.plane || raster.step[3 * i + 2] != 0) return {};
-    }
-    const Tiling tiling(raster);
-    for (std::int64_t number = 0; number < tiling.count(); ++number) {
-        const Tiling::Tile tile = tiling.at(number);
-        std::int64_t pixels = 0;
-        for (std::int64_t line = tile.top; line < tile.bottom; ++line) {
-            const std::uint8_t* mask = raster.mask ? raster.mask + line * raster.width : nullptr;
-            pixels += mask ? (tile.right - tile.left) - std::count(mask + tile.left, mask + tile.right, 0)
-                           : tile.right - tile.left;
-        }
-        out.pixels.push_back(pixels);
-        for (const std::int64_t line : {tile.top, tile.bottom - 1}) {
-            for (const std::int64_t pixel : {tile.left, tile.right - 1})
-                out.corners.push_back(point(raster.first + 3 * line) +
-                                      static_cast<double>(pixel) * point(raster.step + 3 * line));
-        }
-    }
-    return out;
-}
-
-std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Section>& sections, const Layout& layout,
-                                  double near, double rate, std::int64_t most) {
-    const Model& model = geometry.model;
-    const auto centres = phase_centres(geometry);
-    const Builder builder{geometry, layout, centres, near};
+Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near, double relief) {
+    const auto centres = phase_centres(geometry_of(scene));
+    auto pieces = cut(scene, centres, layout.length);
+    const auto count = static_cast<std::int64_t>(pieces.size()),
+               apart = std::max<std::int64_t>(1, count / judged_groups);
     std::vector<Group> groups;
-    for (Numbers& traces : cut_track(geometry, centres, layout.length))
-        groups.push_back(make_group(std::move(traces), centres));
-    // one node spacing for all grids: neighbours along a parent's ray are neighbours on a child's
-    double highest = 1e-9;
-    const double spacing = model.c / (4 * geometry.half_band() * layout.taps.rate);
-    std::vector<Fates> fates;
-    for (const Section& section : sections) {
+    for (std::int64_t i = count / judged_groups / 2; i < count; i += apart)
+        groups.push_back(make_group(std::move(pieces[static_cast<std::size_t>(i)]), centres));
+    Share share;
+    std::size_t deepest = 1;
+    for (const Tiled& tiled : image) {
+        if (!tiled.any()) continue;
+        const auto planes = planes_of(scene, tiled, groups, relief);
+        if (planes.empty()) return {0, 1, count};
+        deepest = std::max(deepest, planes.size());
+        const Numbers some = wanted_tiles(tiled, judged_tiles);
         for (const Group& group : groups) {
-            fates.push_back(builder.fates(group, section, spacing));
-            const Numbers tiles = chosen(fates.back().read);
-            if (tiles.empty()) continue;
-            double direction = 0, far = 0, close = HUGE_VAL, left = HUGE_VAL, right = -HUGE_VAL;
-            for (const Reading& r : seen_from(group.centre, section.corners, tiles, direction)) {
-                left = std::min(left, r.bearing.low);
-                right = std::max(right, r.bearing.high);
-                close = std::min(close, r.distance.low);
-                far = std::max(far, r.distance.high);
-            }
-            highest = std::max(
-                highest,
-                bands_of(group, geometry, section.plane, {direction + left, direction + right}, {close, far}).along);
+            const Fates fates = fates_of(scene, group, tiled, some, planes, layout, first_step(scene, layout), near);
+            share.count(group.traces.size(), tiled.pixels, fates);
         }
     }
-    // and as long as a table's intervals, of which there are a simple number to a sample
-    Forest out{layout.taps, 0, 0, 1, {}, {}, {}, 0};
-    simple_rate(std::max(rate, model.c * layout.taps.rate * layout.spare * highest / model.fs), out.phases,
-                out.per_samples);
-    if (out.phases == 0) return {};
-    out.step = model.c * out.per_samples / (2 * model.fs * out.phases);
-    const auto count = static_cast<std::size_t>(geometry.count);
-    out.first.assign(count, static_cast<std::int64_t>(model.last));
-    out.last.assign(count, 0);
-    double through = 0, everything = 0, along = 0;
-    std::int64_t room = most;
-    for (std::size_t s = 0; s < sections.size(); ++s) {
-        const Section& section = sections[s];
-        for (std::size_t g = 0; g < groups.size(); ++g) {
-            Fates& fate = fates[s * groups.size() + g];
-            const Numbers tiles = chosen(fate.read), others = chosen(fate.direct);
-            if (tiles.empty() && others.empty()) continue;
-            GroupTree tree{s, groups[g].traces, std::move(fate.read), std::move(fate.direct), {}};
-            double read = 0, direct = 0;
-            for (const std::int64_t tile : tiles)
-                read += static_cast<double>(section.pixels[static_cast<std::size_t>(tile)]);
-            for (const std::int64_t tile : others)
-                direct += static_cast<double>(section.pixels[static_cast<std::size_t>(tile)]);
-            if (!tiles.empty()) {
-                double direction = 0;
-                auto readings = seen_from(groups[g].centre, section.corners, tiles, direction);
-                Subtree below = make_subtree(groups[g], geometry, centres, layout, section.plane, direction,
-                                             std::move(readings), out.step, room);
-                if (below.levels.empty()) return {};
-                along = std::max(along, below.along);
-                tree.traces = std::move(below.traces);
-                tree.levels = std::move(below.levels);
-                builder.widen(tree, out.step, out);
-            }
-            const auto traces = static_cast<double>(tree.traces.size());
-            through += traces * read;
-            everything += traces * (read + direct);
-            out.trees.push_back(std::move(tree));
-        }
-    }
-    if (through == 0) return {};
-    // the groups' parts, and nodes beside what is read, may ask for more
-    int phases = 0, per_samples = 1;
-    simple_rate(model.c * layout.taps.rate * layout.spare * along / model.fs, phases, per_samples);
-    if (phases == 0) return {};
-    const double needed = static_cast<double>(phases) / per_samples;
-    if (needed * out.per_samples > out.phases * (1 + 1e-9))
-        return make_forest(geometry, sections, layout, near, needed, most);
-    out.share = through / everything;
-    return out;
+    return {share.value(), static_cast<int>(deepest), count};
 }
 
-std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most) {
-    std::vector<TreeBatch> out;
-    if (tree.levels.empty()) {
-        const auto count = static_cast<std::int64_t>(tree.traces.size());
-        for (std::int64_t i = 0; i < count; i += most) out.push_back({i, std::min(i + most, count), 0, 0});
-        return out;
+Rate simple_rate(double least) {
+    constexpr int most_step = max_step / 2;  // a filter steps through its rate also after doubling
+    constexpr double most = 1e6;
+    Rate best;
+    if (!(least <= most)) return best;
+    for (int step = 1; step <= most_step; ++step) {
+        const Rate rate{std::max(1, static_cast<int>(std::ceil(least * step * (1 - 1e-12)))), step};
+        if (best.phases == 0 || less(rate, best)) best = rate;
     }
-    const Numbers& span = tree.levels[0].span;
-    // the last number at which `ends` are at most `limit`
-    const auto fitting = [](const Numbers& ends, std::int64_t limit) {
-        return std::upper_bound(ends.begin(), ends.end(), limit) - ends.begin() - 1;
-    };
-    for (std::int64_t leaf = 0; leaf < tree.levels[0].count();) {
-        const std::int64_t begin = span[static_cast<std::size_t>(leaf)];
-        std::int64_t last = std::max(leaf + 1, fitting(span, begin + most));
-        if (tree.levels.size() > 1) {
-            const Numbers& parents = tree.levels[1].span;
-            const std::int64_t whole = parents[static_cast<std::size_t>(fitting(parents, last))];
-            if (whole > leaf) last = whole;
+    return best;
+}
+
+std::optional<Grown> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
+                                 double relief, double least, bool whole, Poll& poll) {
+    const Survey& survey = scene.survey;
+    Grower grower{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll};
+    for (Numbers& piece : cut(scene, grower.centres, layout.length))
+        grower.groups.push_back(make_group(std::move(piece), grower.centres));
+    for (const Tiled& tiled : image) {
+        if (!grower.look(tiled, near, relief, whole)) return {};
+    }
+    if (!grower.reads()) return {};
+    const Rate given = simple_rate(least);
+    Rate rate = grower.rate_for(2 / survey.model.c * survey.band * survey.model.fs);
+    if (less(rate, given)) rate = given;
+    while (rate.phases > 0) {
+        double along = 0;
+        auto grown = grower.grow(rate, along);
+        const Rate needed = grower.rate_for(along);
+        if (!grown || (needed.phases > 0 && !less(rate, needed))) return grown;
+        // the groups' parts, and nodes beside what is read, ask for more
+        rate = needed;
+    }
+    return {};
+}
+
+Work work_of(const Forest& forest) {
+    Work work;
+    for (const Section& section : forest.sections) {
+        for (const GroupTree& tree : section.trees) {
+            const auto traces = static_cast<std::int64_t>(tree.traces.size());
+            work.traces += traces;
+            if (tree.levels.empty()) continue;
+            const auto count = [&](std::size_t i) { return static_cast<double>(tree.levels[i].count()); };
+            const auto nodes = [&](std::size_t i) { return static_cast<double>(Grower::nodes_of(tree.levels[i])); };
+            work.leaf_nodes += nodes(0);
+            work.leaf_terms += nodes(0) * static_cast<double>(traces) / count(0);
+            for (std::size_t i = 1; i < tree.levels.size(); ++i) work.merged += nodes(i) * count(i - 1) / count(i);
+            work.read += static_cast<double>(pixels_of(section.pixels, tree.read));
         }
-        out.push_back({begin, span[static_cast<std::size_t>(last)], leaf, last});
-        leaf = last;
     }
-    return out;
+    return work;
+}
+
+double forest_seconds(const Scene& scene, const Grown& grown, const Settings& settings, const Costs& costs) {
+    const Work work = work_of(grown.forest);
+    const double width = grown.layout.taps.taps.count;
+    const auto& tree = costs.tree;
+    const bool flat = std::all_of(grown.forest.sections.begin(), grown.forest.sections.end(),
+                                  [](const Section& section) { return section.flat; });
+    const double merge = tree.merge[0] + tree.merge[1] * width;
+    const double read = (tree.read[0] + tree.read[1] * width) * (flat ? 1.0 : relief_cost);
+    const double trees =
+        work.leaf_terms * tree.term + work.leaf_nodes * tree.node + work.merged * merge + work.read * read;
+    return trees * 1e-9 + sum_seconds(scene, settings, costs, 1 - grown.share) + prepare_seconds(settings, work.traces);
 }
 
 }  // namespace pysas

@@ -1,53 +1,63 @@
-// A tree of sub-apertures for each of the longest groups of traces, the tiles of the image read from it, and those
-// summed directly. The same as pysas/planning/forest.py makes; choices are made by the caller (planning/layouts.hpp).
+// Trees of sub-apertures over an image: which tiles are read from which, and which are summed directly. No choices.
 #pragma once
 
 #include <cstdint>
 #include <optional>
 #include <vector>
 
-#include "core/summation.hpp"
+#include "core/threads.hpp"
+#include "core/trees.hpp"
+#include "planning/layouts.hpp"
+#include "planning/settings.hpp"
 #include "planning/subapertures.hpp"
+#include "planning/tiles.hpp"
 
 namespace pysas {
 
-// Lines of an image that lie on one horizontal plane, as the tiles they are cut into.
-struct Section {
-    double plane;
-    std::vector<Point> corners;  // 4 for each tile
-    Numbers pixels;              // wanted, of each tile
+// What trees would do for a layout, judged by some of its groups and tiles: share of the terms that they would serve,
+// planes that pixels would be read from, and number of groups.
+struct Served {
+    double share;
+    int planes;
+    std::int64_t groups;
+};
+// `near`: slant range from which tiles are read; `relief`: relative error that reading pixels off their planes may
+// cost.
+Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near, double relief);
+
+// What trees do, each as often as a plane asks: terms and nodes of leaves, (node, child) pairs merged, pixels read,
+// traces prepared.
+struct Work {
+    double leaf_terms = 0, leaf_nodes = 0, merged = 0, read = 0;
+    std::int64_t traces = 0;
 };
 
-// The section of a raster whose lines are straight; nothing if they do not lie on one horizontal plane.
-std::optional<Section> section_of(const Raster& raster);
-
-// One of the longest groups. Tiles neither read nor summed directly hear nothing of it, or are not wanted.
-struct GroupTree {
-    std::size_t section;
-    Numbers traces;
-    std::vector<std::uint8_t> read, direct;  // tiles
-    std::vector<Level> levels;               // leaves first; none where nothing is read
-};
-
-struct Forest {
-    TapDesign taps;
-    double step;              // between nodes, m
-    int phases, per_samples;  // nodes lie as far apart as the intervals of tables at phases / per_samples of the rate
-    std::vector<GroupTree> trees;
-    Numbers first, last;  // samples that leaves ask of each trace; none where last < first
+struct Grown {
+    Forest forest;
+    Layout layout;
+    Numbers first, last;  // samples that leaves and pixels ask of each trace
     double share;         // of the terms that go through trees
+    std::int64_t trees;   // groups over sections and planes
+    double longest;       // extent of the longest group, m
 };
 
-// Tiles are read from slant range `near` on; nodes are as far apart as intervals of tables at `rate` times the samples'
-// or more. Nothing if no tile can be read, or if trees would hold more than `most` floats.
-std::optional<Forest> make_forest(const Geometry& geometry, const std::vector<Section>& sections, const Layout& layout,
-                                  double near, double rate, std::int64_t most);
-
-// Traces [begin, end) of a tree at a time, of leaves [first, last): about `most` traces, and whole parents where one
-// fits, since what is merged in parts is read and written again.
-struct TreeBatch {
-    std::int64_t begin, end, first, last;
+// A rate of nodes per sample.
+struct Rate {
+    int phases = 0, step = 1;  // phases 0: none
+    double value() const { return static_cast<double>(phases) / step; }
 };
-std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most);
+// The lowest simple one that is at least `least`, up to what filters step through (max_step).
+Rate simple_rate(double least);
+
+// All trees of an image; nothing where no pixel can be read from one (`whole`: not all), or where trees have more nodes
+// than the sum has terms. `least`: nodes per sample at least; `poll`: asked once a group.
+std::optional<Grown> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
+                                 double relief, double least, bool whole, Poll& poll);
+
+// Counted, but that leaves of a tree are taken to have as many traces each.
+Work work_of(const Forest& forest);
+
+// Of trees, of the direct sum of what they leave, and of preparation, s on one thread.
+double forest_seconds(const Scene& scene, const Grown& grown, const Settings& settings, const Costs& costs);
 
 }  // namespace pysas

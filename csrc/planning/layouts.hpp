@@ -1,24 +1,36 @@
-// How a tree of sub-apertures is cut: the cheapest layout whose error bounds keep a tolerance. The bounds are those of
-// pysas/imaging/planner.py, the costs those of pysas/planning/layouts.py and pysas/planning/costs.py.
+// Layouts that a tree of sub-apertures may have on a scene, and about what they cost.
 #pragma once
 
-#include <cstdint>
 #include <optional>
+#include <utility>
+#include <vector>
 
-#include "core/summation.hpp"
-#include "planning/subapertures.hpp"
+#include "planning/costs.hpp"
+#include "planning/scene.hpp"
+#include "planning/taps.hpp"
 
 namespace pysas {
 
-constexpr double tree_tol = 3e-5;      // below it float32 sub-images would round too much
-constexpr double share_leaves = 0.35;  // of tol, for the sums of a tree's leaves
-constexpr double share_drift = 0.05;   // of the leaves' share: phase factors along a ray
+// How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
+// nodes must have from the centre of the longest group, `apart` from those of its parts, m; `ends`: samples that a
+// place must lie inside of records.
+struct Layout {
+    double length;
+    std::vector<int> fans;
+    TapDesign taps;
+    double spare, clear, apart, ends;
+};
 
-// `raster`: straight lines on a horizontal plane; `isa`: the kernels' name. Nothing if no interpolation keeps `tol`, or
-// no pixel is far enough from any group. What it must be clear of is left open.
-std::optional<Layout> choose_layout(const Geometry& geometry, const Raster& raster, double tol, const char* isa);
+using Kinds = std::vector<std::pair<std::vector<int>, TapDesign>>;
 
-// A layout with the slant ranges from which the polynomials along its leaves' rays hold, and those of its merges.
-Layout cleared(const Geometry& geometry, const Raster& raster, Layout layout, double tol);
+// Of layouts of the `kinds` (fans, taps), that of the least predicted time, and its seconds on one thread if it served
+// all pixels; nothing where none serves any. What is not served costs its share of `direct`, s.
+std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs,
+                                                  double spare, double direct);
+
+// A layout with the slant ranges that its nodes must have, whose sensors stand at most `height` up, and its distance
+// from records' ends. `error`: for the delays along leaves' rays; `merge`: for each merge; `ends`: for what a record's
+// end rings with beyond the band that nodes hold.
+Layout cleared(const Scene& scene, Layout layout, double height, double error, double merge, double ends);
 
 }  // namespace pysas

@@ -20,6 +20,11 @@ constexpr double spare_across = 1.02;  // of the band across rays: what is left 
 constexpr double overlap_reach = 1.6;
 double overlap_of(int taps) { return taps == 6 ? 3.0 : 4.3; }
 
+Point over(const Point& sum, std::size_t count) {
+    const auto n = static_cast<double>(count);
+    return {sum.x / n, sum.y / n, sum.z / n};
+}
+
 struct Axes {
     Point axis[3];  // by variance, least first
 };
@@ -325,7 +330,8 @@ Group make_group(Numbers traces, const std::vector<Point>& centres) {
     std::vector<Point> offset;
     for (const std::int64_t i : traces) offset.push_back(centres[static_cast<std::size_t>(i)]);
     Point middle;
-    for (const Point& p : offset) middle = middle + (1 / static_cast<double>(offset.size())) * p;
+    for (const Point& p : offset) middle = middle + p;
+    middle = over(middle, offset.size());
     for (Point& p : offset) p = p - middle;
     out.axis = axes_of(offset).axis[2];
     for (const Point& p : offset) {
@@ -333,6 +339,7 @@ Group make_group(Numbers traces, const std::vector<Point>& centres) {
         out.off = std::max(out.off, pysas::length(p - out.along.back() * out.axis));
     }
     const auto ends = std::minmax_element(out.along.begin(), out.along.end());
+    if (!(*ends.second > *ends.first)) out.axis = {1, 0, 0};
     out.centre = middle + (*ends.first + *ends.second) / 2 * out.axis;
     out.extent = *ends.second - *ends.first;
     out.traces = std::move(traces);
@@ -354,7 +361,7 @@ std::vector<Numbers> cut_track(const Geometry& geometry, const std::vector<Point
         Point sum;
         for (; end < geometry.count && geometry.pings[end] == geometry.pings[i]; ++end)
             sum = sum + centres[static_cast<std::size_t>(end)];
-        middle.push_back((1 / static_cast<double>(end - i)) * sum);
+        middle.push_back(over(sum, static_cast<std::size_t>(end - i)));
         first.push_back(i);
         i = end;
     }
@@ -421,13 +428,13 @@ Bands bands_of(const Group& group, const Geometry& geometry, double plane, Span 
     return bands;
 }
 
-std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, const Numbers& tiles,
-                               double& direction) {
+std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, int each, double& direction) {
+    const auto number = static_cast<std::size_t>(each);
     std::vector<double> angles;
-    for (const std::int64_t tile : tiles) {
-        Point middle;
-        for (int k = 0; k < 4; ++k) middle = middle + 0.25 * (corners[static_cast<std::size_t>(4 * tile + k)] - centre);
-        angles.push_back(std::atan2(middle.y, middle.x));
+    for (std::size_t first = 0; first < corners.size(); first += number) {
+        Point sum;
+        for (std::size_t k = first; k < first + number; ++k) sum = sum + (corners[k] - centre);
+        angles.push_back(std::atan2(sum.y, sum.x));
     }
     // the direction opposite the widest gap between the tiles
     auto ordered = angles;
@@ -440,13 +447,13 @@ std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& co
         direction = ordered[i] + widest / 2 + pi;
     }
     std::vector<Reading> out;
-    for (std::size_t i = 0; i < tiles.size(); ++i) {
-        const double bearing = std::remainder(angles[i] - direction, 2 * pi);
+    for (std::size_t i = 0; i < angles.size(); ++i) {
+        const double turn = std::fmod(angles[i] - direction + pi, 2 * pi);
+        const double bearing = (turn < 0 ? turn + 2 * pi : turn) - pi;
         const double cosine = std::cos(angles[i]), sine = std::sin(angles[i]);
-        const double infinite = std::numeric_limits<double>::infinity();
-        Reading reading{{infinite, -infinite}, {infinite, -infinite}};
-        for (int k = 0; k < 4; ++k) {
-            const Point away = corners[static_cast<std::size_t>(4 * tiles[i] + k)] - centre;
+        Reading reading{{HUGE_VAL, -HUGE_VAL}, {HUGE_VAL, -HUGE_VAL}};
+        for (std::size_t k = number * i; k < number * (i + 1); ++k) {
+            const Point away = corners[k] - centre;
             const double depth = away.x * cosine + away.y * sine, side = away.y * cosine - away.x * sine;
             const double own = std::atan2(side, depth), ground = std::hypot(away.x, away.y);
             reading.bearing = {std::min(reading.bearing.low, bearing + own),
@@ -456,18 +463,6 @@ std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& co
                                 std::max(reading.distance.high, ground)};
         }
         out.push_back(reading);
-    }
-    return out;
-}
-
-FlatLevels flatten(const std::vector<Level>& levels) {
-    FlatLevels out;
-    for (const Level& level : levels) {
-        out.place.insert(out.place.end(), level.place.begin(), level.place.end());
-        out.shape.insert(out.shape.end(), level.shape.begin(), level.shape.end());
-        out.span.insert(out.span.end(), level.span.begin(), level.span.end());
-        out.range.insert(out.range.end(), level.range.begin(), level.range.end());
-        out.count.push_back(level.count());
     }
     return out;
 }

@@ -7,7 +7,8 @@
 
 #include "core/kernels.hpp"
 #include "core/points.hpp"
-#include "planning/taps.hpp"
+#include "core/trees.hpp"
+#include "planning/layouts.hpp"
 
 namespace pysas {
 
@@ -26,8 +27,6 @@ struct Geometry {
 
     double half_band() const { return band * model.fs; }  // Hz
 };
-
-using Numbers = std::vector<std::int64_t>;
 
 // Middles of transmitter and receiver when an echo arrives.
 std::vector<Point> phase_centres(const Geometry& geometry);
@@ -70,9 +69,8 @@ struct Reading {
     Span bearing, distance;
 };
 
-// Tiles' corners (4 for each) seen from a centre: bearings from `direction`, ground distances.
-std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, const Numbers& tiles,
-                               double& direction);
+// Tiles by their corners, `each` of every one, seen from a centre: bearings from `direction`, ground distances.
+std::vector<Reading> seen_from(const Point& centre, const std::vector<Point>& corners, int each, double& direction);
 
 // `count` places from low to high, ends included.
 std::vector<double> spread(double low, double high, int count);
@@ -80,46 +78,12 @@ std::vector<double> spread(double low, double high, int count);
 double slant_of(double ground, double height);
 double ground_from(double slant, double height);  // 0 where the ground is farther
 
-// The sub-images of all groups of one length, laid out as core/factorised.hpp takes them. Image i is made of what span
-// [i] to span[i + 1] number in the level below, or of traces.
-struct Level {
-    std::vector<double> place;
-    Numbers shape, span{0};
-    std::vector<std::int32_t> range;
-
-    std::int64_t count() const { return static_cast<std::int64_t>(span.size()) - 1; }
-    std::int64_t offset(std::int64_t i) const { return shape[static_cast<std::size_t>(5 * i + 3)]; }
-    // floats of a store for images [begin, end)
-    std::int64_t room(std::int64_t begin, std::int64_t end) const {
-        const std::int64_t* last = shape.data() + 5 * (end - 1);
-        return last[3] + 2 * last[1] * last[2] - offset(begin);
-    }
-};
-
-// How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
-// nodes must have from the centre of the longest group, `apart` from those of its parts, m; `ends`: samples that a
-// place must lie inside of records.
-struct Layout {
-    double length;
-    std::vector<int> fans;
-    TapDesign taps;
-    double spare, clear, apart, ends;
-};
-
 // A tree below one of the longest groups.
 struct Subtree {
     Numbers traces;             // in the order of the leaves
     std::vector<Level> levels;  // leaves first; none if the tree would hold more than the floats `left`
     double along = 0;           // highest frequency along any ray, cycles a metre of slant range
 };
-
-// The levels one after the other, and how many sub-images each has.
-struct FlatLevels {
-    std::vector<double> place;
-    Numbers shape, span, count;
-    std::vector<std::int32_t> range;
-};
-FlatLevels flatten(const std::vector<Level>& levels);
 
 // The tree below a group for what is read from it at bearings from `direction` and ground distances, nodes `step`
 // apart; no levels if it would hold more than the floats `left`.

@@ -15,7 +15,9 @@
 #include "core/factorised.hpp"
 #include "core/polynomials.hpp"
 #include "core/threads.hpp"
+#include "planning/callers.hpp"
 #include "planning/forest.hpp"
+#include "planning/imaging.hpp"
 #include "planning/layouts.hpp"
 #include "planning/taps.hpp"
 #include "pysas.h"
@@ -96,6 +98,20 @@ struct Scene {
         options.struct_size = sizeof options;
         options.tol = 1e-3;
         options.dtype = PYSAS_COMPLEX128;
+    }
+
+    std::vector<std::complex<double>> through_trees(double& share) const {
+        pysas::Wish wish = pysas::wish_of(options);
+        wish.pay = false;
+        const pysas::Imaging imaging(pysas::plan(pysas::scene_of(survey, grid, options), wish));
+        share = imaging.plan().share();
+        std::vector<std::complex<double>> out(side * side);
+        const std::int64_t record = samples;
+        imaging(
+            pysas::View<const std::complex<double>, 3>{
+                data.data(), {pings, channels, record}, {channels * record, record, 1}},
+            pysas::View<std::complex<double>, 2>{out.data(), {side, side}, {side, 1}}, true, {});
+        return out;
     }
 
     std::vector<std::complex<double>> image() const {
@@ -247,7 +263,7 @@ void a_constant_goes_through_the_tree() {
     CHECK(caught);
 }
 
-// The same point through a tree: a plan of few pings and pixels still has one.
+// The same point through a tree, which need not take less time than so small a direct sum.
 void a_point_goes_through_a_tree() {
     for (const bool moving : {false, true}) {
         Scene scene(moving);
@@ -255,35 +271,26 @@ void a_point_goes_through_a_tree() {
         const double sum = Scene::pings * (moving ? 2.1 : 2.0);
         for (const std::string& isa : pysas::levels()) {
             scene.options.isa = isa.c_str();
-            for (const double tol : {1e-1, 1e-2, 1e-3, 1e-4}) {
+            for (const double tol : {1e-1, 1e-2, 1e-3, 1e-4, 1e-5}) {
                 scene.options.tol = tol;
-                pysas_plan* plan = nullptr;
-                CHECK(pysas_plan_create(&scene.survey, &scene.grid, &scene.options, &plan) == PYSAS_OK);
-                CHECK(pysas_plan_factorised_share(plan) == 1);
-                pysas_plan_destroy(plan);
                 scene.options.threads = 1;
-                const auto image = scene.image();
+                double share = 0;
+                const auto image = scene.through_trees(share);
+                CHECK(share == (tol < 3e-5 ? 0 : 1));  // below it float trees would round too much
                 CHECK(std::abs(image[12 * Scene::side + 12] - sum) < tol * sum);
                 scene.options.threads = 3;
-                CHECK(scene.image() == image);
+                CHECK(scene.through_trees(share) == image);
                 scene.options.method = PYSAS_BACKPROJECTION;
                 const auto direct = scene.image();
                 scene.options.method = PYSAS_FFBP;
                 double apart = 0;
                 for (std::size_t i = 0; i < image.size(); ++i) apart = std::max(apart, std::abs(image[i] - direct[i]));
-                CHECK(apart > 0 && apart < tol * sum);
+                CHECK((apart > 0) == (share > 0) && apart < tol * sum);
             }
         }
-        scene.options.isa = nullptr;
-        scene.options.tol = 1e-5;  // below what float trees keep
-        pysas_plan* plan = nullptr;
-        CHECK(pysas_plan_create(&scene.survey, &scene.grid, &scene.options, &plan) == PYSAS_OK);
-        CHECK(pysas_plan_factorised_share(plan) == 0);
-        pysas_plan_destroy(plan);
     }
 }
 
-// Components of samples one node apart, filtered, then read between them: another way than the design's least squares.
 void taps_are_as_good_as_they_say() {
     const double designs[][3] = {{6, 1.2, 8}, {6, 1.5, 8}, {8, 1.4, 10}, {8, 1.6, 10}};
     for (const auto& d : designs) {
@@ -338,48 +345,62 @@ bool covered(const pysas::Level& level, std::size_t image, const pysas::Taps& ta
 }
 
 void a_forest_holds_every_trace_and_serves_every_read() {
-    using namespace pysas;
-    std::vector<Trace> traces;
-    std::vector<std::int64_t> pings;
+    using pysas::batches_of, pysas::tiles_of, pysas::Tiling, pysas::TreeBatch;
+    using pysas::cheapest, pysas::cleared, pysas::costs_of, pysas::design_taps, pysas::Forest, pysas::GroupTree;
+    using pysas::Kinds, pysas::Layout, pysas::Level, pysas::make_forest, pysas::Pixels, pysas::Raster, pysas::Survey;
+    Survey survey{};
     for (int ping = 0; ping < 60; ++ping) {  // a bent track with a gap, two receivers behind the transmitter
         const double x = 0.1 * ping + (ping > 40 ? 1.5 : 0) - 3.7, y = 0.3 * std::sin(0.2 * ping);
-        for (int channel = 0; channel < 2; ++channel) {
-            traces.push_back({{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, 0, 0, 0});
-            pings.push_back(ping);
-        }
+        for (int channel = 0; channel < 2; ++channel)
+            survey.traces.push_back({{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, 0, 0, 0});
     }
-    Geometry geometry{traces.data(), pings.data(), static_cast<std::int64_t>(traces.size()), {}, 0.375, 0};
-    geometry.model = {1500, 100e3, 40e3, 1, 2999, -1, 0, 0};
-    std::vector<double> first, step;
+    survey.model = {1500, 100e3, 40e3, 1, 2999, -1, 0, 0};
+    survey.band = 0.375;
+    survey.single = true;
+    survey.channels = 2;
+    survey.weights.assign(survey.traces.size(), 1.0);
+    const std::size_t traces = survey.traces.size();
     constexpr int height = 130, width = 100;
+    Pixels pixels;
+    pixels.height = height;
+    pixels.width = width;
     for (int line = 0; line < height; ++line) {
-        first.insert(first.end(), {-1, 0.02 * line - 1.3, 0});
-        step.insert(step.end(), {0.02, 0, 0});
+        pixels.first.insert(pixels.first.end(), {-1, 0.02 * line - 1.3, 0});
+        pixels.step.insert(pixels.step.end(), {0.02, 0, 0});
     }
-    std::vector<std::uint8_t> mask(height * width, 1);
-    std::fill_n(mask.begin(), 32 * width, std::uint8_t{0});
-    const Raster raster{first.data(), step.data(), nullptr, mask.data(), height, width, 64};
-    const auto section = section_of(raster);
-    CHECK(section && section->pixels.size() == 10 && section->pixels[0] == 0 && section->pixels[9] == 2 * 36);
-    if (!section) return;
-    auto layout = choose_layout(geometry, raster, 1e-3, "baseline");
-    CHECK(layout && layout->length > 0 && layout->taps.worst < 1e-3);
-    if (!layout) return;
-    layout = cleared(geometry, raster, *layout, 1e-3);
-    CHECK(layout->clear > 5 && layout->clear < 20 && cleared(geometry, raster, *layout, 1e-5).clear > layout->clear);
-    for (const std::vector<int>& fans : {layout->fans, {}, {2}, {4, 2}, {4, 4, 2}}) {
-        Layout cut = *layout;
+    pixels.mask.assign(height * width, 1);
+    std::fill_n(pixels.mask.begin(), 32 * width, std::uint8_t{0});
+    const pysas::Scene scene(survey, pixels, {-1, -1.3, 0}, {0.98, 1.28, 0});
+    CHECK(scene.audible == static_cast<std::int64_t>(traces) && scene.wanted == (height - 32) * width);
+    const auto image = tiles_of(scene, 64);
+    CHECK(image.size() == 1 && image[0].flat && image[0].pixels.size() == 10);
+    CHECK(image[0].pixels[0] == 0 && image[0].pixels[9] == 2 * 36);
+    const Kinds kinds{{{2}, design_taps(6, 1.5, 8)}};
+    const auto found = cheapest(scene, kinds, costs_of("baseline"), 1.05, 1);
+    CHECK(found && found->first.length > 0 && found->second > 0);
+    if (!found) return;
+    const Layout layout = cleared(scene, found->first, 5.1, 1e-5, 1e-5, 1e-3);
+    CHECK(layout.clear > 5 && layout.clear < 20);
+    CHECK(cleared(scene, layout, 5.1, 1e-7, 1e-7, 1e-3).clear > layout.clear);
+    const Raster raster{
+        scene.pixels.first.data(), scene.pixels.step.data(), nullptr, scene.pixels.mask.data(), height, width, 64};
+    const pysas::Tick none;
+    pysas::Poll poll(none);
+    const pysas::Served judged = pysas::served(scene, image, layout, 1, 0);
+    CHECK(std::abs(judged.share - 1) < 0.1 && judged.planes == 1 && judged.groups > 1);
+    for (const std::vector<int>& fans : {layout.fans, {}, {2}, {4, 2}, {4, 4, 2}}) {
+        Layout cut = layout;
         cut.fans = fans;
         cut.length = 3;
-        CHECK(!make_forest(geometry, {*section}, cut, 1, 1, 1000));  // too large for so little memory
-        const auto forest = make_forest(geometry, {*section}, cut, 1, 1, std::int64_t{1} << 30);
-        CHECK(forest && forest->share == 1 && forest->trees.size() > 1);
-        if (!forest) continue;
+        const auto grown = make_forest(scene, image, cut, 1, 0, 0, false, poll);
+        CHECK(grown && grown->share == 1 && grown->trees > 1 && grown->forest.sections.size() == 1);
+        if (!grown) continue;
+        const Forest& forest = grown->forest;
         // at least as dense as the echoes' own band asks, as dense as tables' intervals
-        CHECK(forest->step < 1500 / (4 * 15e3 * cut.taps.rate));
-        CHECK(std::abs(forest->step * 2 * 40e3 * forest->phases / forest->per_samples / 1500 - 1) < 1e-12);
+        CHECK(forest.step < 1500 / (4 * 15e3 * cut.taps.rate));
+        CHECK(std::abs(forest.step * 2 * 40e3 * forest.phases / forest.per_samples / 1500 - 1) < 1e-12);
         std::vector<std::int64_t> seen;
-        for (const GroupTree& tree : forest->trees) {
+        for (const GroupTree& tree : forest.sections[0].trees) {
             seen.insert(seen.end(), tree.traces.begin(), tree.traces.end());
             CHECK(tree.levels.size() == fans.size() + 1);
             CHECK(tree.levels.front().span.back() == static_cast<std::int64_t>(tree.traces.size()));
@@ -396,14 +417,13 @@ void a_forest_holds_every_trace_and_serves_every_read() {
             bool all = true;
             const Tiling tiling(raster);
             for (std::int64_t number = 0; number < tiling.count(); ++number) {
-                const bool wanted = section->pixels[static_cast<std::size_t>(number)] > 0;
+                const bool wanted = image[0].pixels[static_cast<std::size_t>(number)] > 0;
                 CHECK(tree.read[static_cast<std::size_t>(number)] == wanted);
                 const Tiling::Tile tile = tiling.at(number);
                 for (std::int64_t line = tile.top; wanted && line < tile.bottom; ++line) {
                     for (std::int64_t k = tile.left; k < tile.right; ++k) {
-                        const double x = first[static_cast<std::size_t>(3 * line)] + 0.02 * static_cast<double>(k) -
-                                         top.place[0],
-                                     y = first[static_cast<std::size_t>(3 * line + 1)] - top.place[1];
+                        const double x = raster.first[3 * line] + 0.02 * static_cast<double>(k) - top.place[0],
+                                     y = raster.first[3 * line + 1] - top.place[1];
                         all = all && covered(top, 0, cut.taps.taps, std::atan2(y, x),
                                              std::sqrt(x * x + y * y + top.place[2] * top.place[2]));
                     }
@@ -413,16 +433,16 @@ void a_forest_holds_every_trace_and_serves_every_read() {
             // and every node that a parent sums, from each child
             for (std::size_t i = 1; i < tree.levels.size(); ++i) {
                 const Level &above = tree.levels[i], &below = tree.levels[i - 1];
-                for (std::size_t image = 0; image + 1 < above.span.size(); ++image) {
-                    const double* place = above.place.data() + 7 * image;
-                    const std::int64_t* shape = above.shape.data() + 5 * image;
+                for (std::size_t number = 0; number + 1 < above.span.size(); ++number) {
+                    const double* place = above.place.data() + 7 * number;
+                    const std::int64_t* shape = above.shape.data() + 5 * number;
                     for (std::int64_t r = 0; r < shape[1]; ++r) {
                         const std::int32_t* ends = above.range.data() + 2 * (shape[4] + r);
                         const double ray = place[4] + static_cast<double>(r) * place[5];
                         for (std::int64_t m = ends[0]; m < ends[1]; m += 5) {
                             const double range = static_cast<double>(shape[0] + m) * place[6];
                             const double ground = std::sqrt(range * range - place[2] * place[2]);
-                            for (std::int64_t c = above.span[image]; c < above.span[image + 1]; ++c) {
+                            for (std::int64_t c = above.span[number]; c < above.span[number + 1]; ++c) {
                                 const double* child = below.place.data() + 7 * c;
                                 const double x = place[0] + ground * std::cos(ray) - child[0],
                                              y = place[1] + ground * std::sin(ray) - child[1];
@@ -436,7 +456,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
             CHECK(all);
         }
         std::sort(seen.begin(), seen.end());
-        CHECK(seen.size() == traces.size() && seen.front() == 0 && std::unique(seen.begin(), seen.end()) == seen.end());
+        CHECK(seen.size() == traces && seen.front() == 0 && std::unique(seen.begin(), seen.end()) == seen.end());
     }
 }
 
@@ -453,6 +473,8 @@ void names_of_sets() {
 
 }  // namespace
 
+void test_recipes();  // test_core_recipes.cpp
+
 int main() {
     every_task_runs_once();
     one_exception_comes_out();
@@ -463,6 +485,7 @@ int main() {
     taps_are_as_good_as_they_say();
     a_forest_holds_every_trace_and_serves_every_read();
     names_of_sets();
+    test_recipes();
     std::printf("test_core: %s\n", failures == 0 ? "passed" : "FAILED");
     return failures == 0 ? 0 : 1;
 }

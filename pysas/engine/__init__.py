@@ -10,7 +10,7 @@ from typing import Any
 
 from pysas import _checks
 from pysas.engine import native
-from pysas.engine.interface import Engine
+from pysas.engine.interface import AnyEngine, Engine, Parts, Planning
 from pysas.engine.traces import BLOCK, MONOSTATIC, MOVING, STOP_AND_HOP
 
 __all__ = [
@@ -19,7 +19,10 @@ __all__ = [
     "MONOSTATIC",
     "MOVING",
     "STOP_AND_HOP",
+    "AnyEngine",
     "Engine",
+    "Parts",
+    "Planning",
     "backend_name",
     "engine_of",
     "get_include",
@@ -46,9 +49,9 @@ def backend_name(backend: str = "auto") -> str:
     return ("cpp" if built else "numba") if name == "auto" else name
 
 
-def engine_of(backend: str = "auto") -> Engine:
+def engine_of(backend: str = "auto") -> AnyEngine:
     """The engine that will run, as `backend_name` has it."""
-    engine: Engine = ENGINES[backend_name(backend)]().ENGINE
+    engine: AnyEngine = ENGINES[backend_name(backend)]().ENGINE
     return engine
 
 

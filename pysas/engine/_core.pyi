@@ -1,6 +1,6 @@
 """What the C++ extension exports; a test compares this with the extension itself."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,8 @@ def compiler() -> str:
 def levels() -> list[str]:
     """Instruction sets this build has and this machine runs, worst first."""
 
-def sizes() -> dict[str, Any]:
-    """What kernels are compiled for, by precision: `degrees` of the interpolation, `terms` of the sine, `nodes` of the
-    delay; and what all share: pixels of a `block`, `rows` of a tile, `step` of a filter at most."""
+def sizes() -> dict[str, int]:
+    """Pixels of a `block` and `rows` of a tile, at most."""
 
 def isa(name: str) -> str:
     """The instruction set that `name` stands for; "auto" is the best. ValueError for one that is not in `levels`."""
@@ -29,12 +28,6 @@ def keep_others() -> None:
 
 def away() -> int:
     """Threads outside the interpreter that may still come back."""
-
-def plane_stride(intervals: int, degree: int, real: int) -> int:
-    """Reals of `real` bytes from one plane of a table to the next."""
-
-def intervals(length: int, rate: float) -> int:
-    """Intervals of a table over `length` samples."""
 
 class Filter:
     """Weights (phase, tap, power) and first taps (phase,) of a filter, its steps, and its measured `error`.
@@ -58,114 +51,9 @@ class Filter:
     def phases(self) -> int: ...
     @property
     def rate(self) -> float: ...
-    def __init__(self, weight: npt.NDArray[np.float64], first: npt.NDArray[np.int64], step: int, error: float) -> None: ...
-
-class Polynomials:
-    """How tables are read and delays formed: degree of the interpolation, sine and cosine in turns^2, nodes of delays and the
-    matrix from values there to coefficients, 7 x 7."""
-
-    def __init__(
-        self,
-        degree: int,
-        sine: Sequence[float],
-        cosine: Sequence[float],
-        nodes: npt.NDArray[np.float64],
-        fit: npt.NDArray[np.float64],
-    ) -> None: ...
-
-class Traces:
-    """Traces, what they have in common, and their weights at places (y, x, trace) with view_angles.Lattice.axes."""
-
-    def __init__(
-        self,
-        trace: Records,
-        model: Records,
-        kind: int,
-        weights: tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]] | None,
-    ) -> None: ...
-
-class Raster:
-    """Lines by first pixels and steps, or points; which of them are wanted; `count` pixels make a block."""
-
-    def __init__(
-        self,
-        first: npt.NDArray[np.float64] | None,
-        step: npt.NDArray[np.float64] | None,
-        points: npt.NDArray[np.float64] | None,
-        mask: npt.NDArray[np.bool_] | None,
-        count: int,
-    ) -> None: ...
-
-class SubImages:
-    """See pysas.engine.tree.SubImages; `store` has their rows."""
-
-    def __init__(
-        self,
-        place: npt.NDArray[np.float64],
-        shape: npt.NDArray[np.int64],
-        range: npt.NDArray[np.int32],
-        store: npt.NDArray[np.float32],
-    ) -> None: ...
-
-class Stack:
-    """See pysas.engine.steps.Stack."""
-
-    def __init__(self, axis: npt.NDArray[np.float64], heights: npt.NDArray[np.float64], number: int) -> None: ...
 
 def design(band: float, degree: int, phases: int, step: int, error: float, least: int, most: int) -> Filter:
     """A filter, with its measured error; see csrc/core/filters.hpp."""
-
-def peaks(
-    data: npt.NDArray[Any],
-    begin: npt.NDArray[np.int64],
-    end: npt.NDArray[np.int64],
-    threads: int,
-    tick: Callable[[float], object] | None,
-) -> npt.NDArray[np.float64]:
-    """Largest real or imaginary part of samples [begin, end) of every trace of (ping, channel, sample); not finite where the
-    trace is not."""
-
-def mean_squares(
-    data: npt.NDArray[Any],
-    trace: npt.NDArray[np.int64],
-    place: npt.NDArray[np.int64],
-    reach: int,
-    scale: float,
-    threads: int,
-    tick: Callable[[float], object] | None,
-) -> npt.NDArray[np.float64]:
-    """Mean square of the 2 reach + 1 samples about each place (flat trace, sample), in units of scale^2; 0 off the record."""
-
-def prepare(
-    data: npt.NDArray[Any],
-    order: npt.NDArray[np.int64],
-    start: npt.NDArray[np.int64],
-    weights: npt.NDArray[np.complex128] | None,
-    scale: float,
-    filter: Filter,
-    length: int,
-    table: npt.NDArray[Any],
-    threads: int,
-    isa: str,
-    tick: Callable[[float], object] | None,
-) -> None:
-    """Fill `table` (trace, plane, plane_stride) from the samples of traces `order`."""
-
-def add(
-    table: npt.NDArray[Any],
-    polynomials: Polynomials,
-    traces: Traces,
-    raster: Raster,
-    own: npt.NDArray[Any] | None,
-    image: npt.NDArray[Any],
-    threads: int,
-    isa: str,
-    tick: Callable[[float], object] | None,
-) -> int:
-    """Add a batch's terms to `image` (line, pixel); returns how many.
-
-    `own` : weights of a list of points, (point, trace) of the table's reals, with rows for whole blocks of points.
-    """
 
 def arcs(
     trace: Records,
@@ -182,88 +70,113 @@ def arcs(
     See csrc/core/arcs.hpp.
     """
 
-class Tree:
-    """Taps (see pysas.engine.tree.Taps) and carrier, turns a metre of range, that all steps of a tree share."""
+class Survey:
+    """Traces about an image's centre, what they weigh, and what they have in common: `model`, half the bandwidth in cycles per
+    sample, whether samples are complex64, traces of a ping, whether every pixel has its own weights uniform in view angle."""
 
     def __init__(
         self,
-        even: npt.NDArray[np.float32],
-        odd: npt.NDArray[np.float32],
-        tap: npt.NDArray[np.float32],
-        filter: npt.NDArray[np.float32],
-        wave: float,
-        carrier: Polynomials,
+        trace: Records,
+        weights: npt.NDArray[np.complex128],
+        model: Records,
+        band: float,
+        single: bool,
+        channels: int,
+        each: bool,
+    ) -> None: ...
+    def give_lattice(self, value: npt.NDArray[np.float32], axes: npt.NDArray[np.float64], vector: float, beyond: float) -> None:
+        """Weights that change from pixel to pixel: see planning.view_angles.Lattice. `value` is read where it lies."""
+
+class Pixels:
+    """Lines about the image's centre `origin`, how far off them pixels lie at most, m; coordinates of all pixels, as a list
+    (n, 3), as x, y and heights (y, x) of a map, or told by their numbers about the origin; the mask of those wanted."""
+
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        origin: npt.NDArray[np.float64],
+        first: npt.NDArray[np.float64] | None,
+        step: npt.NDArray[np.float64] | None,
+        uneven: float,
+        points: npt.NDArray[np.float64]
+        | tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
+        | Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]],
+        mask: npt.NDArray[np.bool_] | None,
     ) -> None: ...
 
-def leaves(
-    tree: Tree,
-    table: npt.NDArray[np.float32],
-    polynomials: Polynomials,
-    traces: Traces,
-    span: npt.NDArray[np.int64],
-    to: SubImages,
-    slack: float,
-    smooth: bool,
-    threads: int,
-    isa: str,
-    tick: Callable[[float], object] | None,
-) -> None:
-    """Fill the sub-images of groups of traces; with `smooth` for pixels to read, else for merging."""
+class Scene:
+    """What a planner sees of a survey and pixels in a box."""
 
-def merge(
-    tree: Tree,
-    span: npt.NDArray[np.int64],
-    children: SubImages,
-    to: SubImages,
-    add: bool,
-    last: bool,
-    smooth: bool,
-    threads: int,
-    isa: str,
-    tick: Callable[[float], object] | None,
-) -> None:
-    """Sub-images from their children's, added to what they hold with `add`; filtered with `last`, for pixels with `smooth`."""
+    def __init__(self, survey: Survey, pixels: Pixels, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> None: ...
 
-def read(
-    tree: Tree,
-    sub_image: SubImages,
-    raster: Raster,
-    stack: Stack | None,
-    wanted: npt.NDArray[np.uint8],
-    image: npt.NDArray[Any],
-    threads: int,
-    isa: str,
-    tick: Callable[[float], object] | None,
-) -> None:
-    """Add a sub-image to the `wanted` tiles of `image` (line, pixel): lines on its plane, or points near it."""
+class Done:
+    """What became of some data, and the plan that was carried out; see interface.Done."""
 
-def subtree(
-    trace: Records,
-    centres: npt.NDArray[np.float64],
-    order: npt.NDArray[np.int64],
-    medium: npt.NDArray[np.float64],
-    fans: Sequence[int],
-    taps: int,
-    half: int,
-    rate: float,
-    plane: float,
-    direction: float,
-    readings: npt.NDArray[np.float64],
-    step: float,
-    left: int,
-) -> tuple[
-    npt.NDArray[np.int64],
-    npt.NDArray[np.int64],
-    npt.NDArray[np.float64],
-    npt.NDArray[np.int64],
-    npt.NDArray[np.int32],
-    npt.NDArray[np.int64],
-    float,
-]:
-    """The tree below a group, traces `order`, for `readings` (n, 4): bearings from `direction` and ground distances, lowest and
-    highest. Returns traces in the leaves' order, sub-images of each level, leaves first, and all levels' places, shapes,
-    ranges and spans, and the highest frequency along their rays; no levels where these would take more than the floats
-    `left`.
+    @property
+    def choices(self) -> dict[str, Any]: ...
+    @property
+    def share(self) -> float: ...
+    @property
+    def trees(self) -> int: ...
+    @property
+    def why_direct(self) -> str: ...
+    @property
+    def prepare_seconds(self) -> float: ...
+    @property
+    def sum_seconds(self) -> float: ...
+    @property
+    def terms(self) -> int: ...
+    @property
+    def left_out(self) -> list[int]: ...
+    @property
+    def used(self) -> int: ...
+    @property
+    def beside(self) -> float: ...
+    @property
+    def lost(self) -> float: ...
+    @property
+    def loudest(self) -> int: ...
 
-    `medium` : sound speed, carrier, bandwidth and about what passes until an echo arrives where receivers move.
+class Plan:
+    """How to image data of a scene; see interface.Planned.
+
+    `leave` : whether trees may be left for data that are too bright for them; `pay` : whether they must take less time than
+    direct sums to be used. ValueError where `tol` cannot be kept, or where without `fallback` not all terms go through trees.
     """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tol: float,
+        budget: float,
+        method: str,
+        fallback: bool,
+        leave: bool,
+        pay: bool,
+        threads: int,
+        isa: str,
+    ) -> None: ...
+    @property
+    def choices(self) -> dict[str, Any]: ...
+    @property
+    def share(self) -> float: ...
+    @property
+    def trees(self) -> int: ...
+    @property
+    def why_direct(self) -> str: ...
+    @property
+    def isa(self) -> str: ...
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def memory(self) -> int: ...
+    def describe(self, shape: str, more: int) -> str: ...
+    def other(self) -> str: ...
+    def __call__(
+        self,
+        data: npt.NDArray[Any],
+        image: npt.NDArray[Any],
+        whole: bool,
+        tick: Callable[[float], object] | None,
+    ) -> Done: ...

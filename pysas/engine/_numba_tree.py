@@ -408,52 +408,9 @@ def _gather(store, at, plane, stride, width, across, along):
     return ((a0 + a4) + (a2 + a6)) + ((a1 + a5) + (a3 + a7)), ((b0 + b4) + (b2 + b6)) + ((b1 + b5) + (b3 + b7))
 
 
-@njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
-def _onto(place, axis, x, y, z):
-    """Where the plane has a point's range and place along a group's axis: range, and the place from the centre's foot."""
-    across = np.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
-    ax, ay = axis[0] / across, axis[1] / across
-    dx, dy, dz, height = x - place[0], y - place[1], z - place[2], place[2] - place[PLANE]
-    square = dx * dx + dy * dy + dz * dz
-    along = (dx * axis[0] + dy * axis[1] + (dz + height) * axis[2]) / across
-    off = np.sqrt(max(square - along * along - height * height, 1e-12))
-    if dy * ax - dx * ay < 0:
-        off = -off
-    return np.sqrt(square), along * ax - off * ay, along * ay + off * ax
-
-
-@njit(nogil=True, cache=True, fastmath=_FAST, error_model="numpy")
-def _locate_points(place, i0, points, axis, heights, number, unit, angle, wave, beams, nodes, xb, xn, cycles, share):
-    """As _locate, of points near the plane, and what each weighs."""
-    for m in range(points.shape[0]):
-        slant, px, py = _onto(place, axis, points[m, 0], points[m, 1], points[m, 2])
-        depth, side = px * unit[0] + py * unit[1], py * unit[0] - px * unit[1]
-        p = (np.arctan2(side, depth) + angle) / place[BEAM]
-        k = np.floor(p)
-        beams[m] = np.int32(k)
-        xb[m] = p - k - 0.5
-        p = slant / place[STEP] - i0
-        k = np.floor(p)
-        nodes[m] = np.int32(k)
-        xn[m] = p - k - 0.5
-        turns = wave * slant
-        cycles[m] = turns - np.floor(turns + 0.5)
-        weight = 1.0
-        for k in range(heights.size):
-            if k != number:
-                weight *= (points[m, 2] - heights[k]) / (heights[number] - heights[k])
-        share[m] = weight
-
-
 @njit(nogil=True, cache=True)
-def read(
-    place, shape, store, even, odd, wave, sines, cosines, lines, points, axis, heights, number, active, out
-):  # fmt: skip
-    """Add what a sub-image holds at a tile's pixels to `out` (line, pixel).
-
-    They are lines[r, :3] + m lines[r, 3:], on its plane, or where there are any `points` (line, pixel, 3) near it, read as
-    steps.Stack tells.
-    """
+def read(place, shape, store, even, odd, wave, sines, cosines, lines, active, out):
+    """Add what a sub-image holds at a tile's pixels lines[r, :3] + m lines[r, 3:], on its plane, to `out` (line, pixel)."""
     rows, count = out.shape
     width, rays, stride = 2 * even.shape[0], shape[RAYS], shape[STRIDE]
     # angles are counted from that of the tile's middle
@@ -461,9 +418,6 @@ def read(
     for i in range(2):
         a, b = lines[0], lines[rows - 1]
         middle[i] = (a[i] + b[i] + (a[3 + i] + b[3 + i]) * (count - 1) / 2) / 2 - place[i]
-    if points.size:
-        pixel = points[rows // 2, count // 2]
-        _, middle[0], middle[1] = _onto(place, axis, pixel[0], pixel[1], pixel[2])
     away = np.sqrt(middle[0] ** 2 + middle[1] ** 2)
     unit = (middle[0] / away, middle[1] / away)
     angle = np.arctan2(unit[1], unit[0]) - place[ANGLE]
@@ -474,19 +428,13 @@ def read(
         np.empty(count, dtype=store.dtype),
         np.empty(count, dtype=store.dtype),
     )
-    share = np.ones(count, dtype=store.dtype)
     weight = np.empty((width, count), dtype=store.dtype)
     across, along = np.zeros((count, WIDE), dtype=store.dtype), np.zeros((count, WIDE), dtype=store.dtype)
     re, im = np.empty(count, dtype=store.dtype), np.empty(count, dtype=store.dtype)
     for r in range(rows):
         if not active[r]:
             continue
-        if points.size:
-            _locate_points(
-                place, shape[I0], points[r], axis, heights, number, unit, angle, wave, beams, nodes, xb, xn, cycles, share
-            )  # fmt: skip
-        else:
-            _locate(place, shape[I0], lines[r], unit, angle, wave, beams, nodes, xb, xn, cycles)
+        _locate(place, shape[I0], lines[r], unit, angle, wave, beams, nodes, xb, xn, cycles)
         _weigh(even, odd, xb, weight)
         across[:, :width] = weight.T
         _weigh(even, odd, xn, weight)
@@ -497,4 +445,4 @@ def read(
             re[m], im[m] = _gather(store, shape[OFFSET] + j * stride + i, rays * stride, stride, width, across[m], along[m])
         _turn(cycles, sines, cosines, re, im)
         for m in range(count):
-            out[r, m] += complex(share[m] * re[m], share[m] * im[m])
+            out[r, m] += complex(re[m], im[m])

@@ -2,44 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import native, subtrees
-from pysas.engine.interface import Engine, Subtrees
-from pysas.engine.native_steps import Compiled
-from pysas.engine.steps import Setting, Steps
-from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
-from pysas.engine.traces import Records
+from pysas._checks import FloatArray
+from pysas.engine import native
+from pysas.engine.interface import Places, Planned, Planning
+from pysas.engine.traces import MODEL, Records, record
+
+# For tests to change: whether trees must take less time than direct sums to be used, and whether they may be left for data that
+# are too bright for them though direct sums must not stand in for them.
+TREES_MUST_PAY, TREES_MAY_GO = True, False
 
 
 class Cpp:
     """Kernels for several instruction sets, of which the best runs that the machine has."""
 
     name = "cpp"
-    polynomials: Collection[str] = ("float32", "float64")
-    sums = 1
-    filters = True
-    slab = native.SLAB
-    subtree: Subtrees | None = staticmethod(subtrees.make)
-    peaks, mean_squares = staticmethod(native.peaks), staticmethod(native.mean_squares)
-
-    @property
-    def nodes(self) -> Mapping[str, int]:
-        return {name: native.sizes()[name]["nodes"] for name in self.polynomials}
-
-    @property
-    def sines(self) -> Mapping[str, Sequence[int]]:
-        return {name: native.sizes()[name]["terms"] for name in self.polynomials}
 
     def isa(self) -> str:
-        return native.isa_name()
-
-    def costs(self) -> str:
         return native.isa_name()
 
     def arcs(
@@ -48,17 +32,30 @@ class Cpp:
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
         return np.asarray(native.core().arcs(trace, channels, cos_beam, points, order, out, threads, None))
 
-    def accumulate(
-        self, data: ComplexArray, order: npt.NDArray[np.int64], survey: Survey, reader: native.Reader, scale: float,
-        raster: Raster, trigonometry: Trigonometry, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
-        progress: Callable[[float], None] | None,
-    ) -> Totals:  # fmt: skip
-        return native.accumulate(
-            data, order, survey, reader, scale, raster, trigonometry, real, batch, image, threads, self.isa(), progress
-        )
+    def plan(
+        self, scene: Any, shape: tuple[int, ...], mask: npt.NDArray[np.bool_] | None,
+        points: Places, tol: float, budget: float, method: str, fallback: bool, threads: int,
+    ) -> Planned:  # fmt: skip
+        core = native.core()
+        model = record(
+            MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=0.0, last=scene.n_sample - 1, cos_beam=scene.cos_beam, near=0.0,
+            run=0.0,
+        )  # fmt: skip
+        single = scene.dtype == np.complex64
+        survey = core.Survey(scene.trace, scene.weights, model, scene.band, single, scene.channels, scene.each)
+        if scene.lattice is not None:
+            lattice = scene.lattice
+            survey.give_lattice(lattice.value, lattice.axes, lattice.vector, lattice.beyond)
+        first = step = None
+        uneven = 0.0
+        if scene.lines is not None:
+            first, step, uneven = np.ascontiguousarray(scene.lines[0] - scene.origin), scene.lines[1], scene.lines[2]
+        wanted = None if mask is None else np.ascontiguousarray(mask)
+        pixels = core.Pixels(math.prod(shape[:-1]), shape[-1], scene.origin, first, step, uneven, points, wanted)
+        seen = core.Scene(survey, pixels, scene.low, scene.high)
+        leave = fallback or TREES_MAY_GO
+        found: Planned = core.Plan(seen, tol, budget, method, fallback, leave, TREES_MUST_PAY, threads, self.isa())
+        return found
 
-    def steps(self, setting: Setting, reader: native.Reader, room: int) -> Steps:
-        return Compiled(setting, reader, room)
 
-
-ENGINE: Engine = Cpp()
+ENGINE: Planning = Cpp()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from llvmlite import binding
 from pysas import _pool as pool
 from pysas._checks import FloatArray
 from pysas.engine import _numba, _numba_arcs, summation
-from pysas.engine.interface import Engine, Subtrees
+from pysas.engine.interface import Parts
 from pysas.engine.preparation import Interpolator
 from pysas.engine.steps import Setting, Steps
 from pysas.engine.summation_steps import Interpreted
@@ -27,19 +27,13 @@ class Fallback:
     name = "numba"
     nodes: Mapping[str, int] = {"float32": _numba.NODES, "float64": _numba.NODES}
     sines: Mapping[str, Sequence[int]] = {"float32": range(4, 13), "float64": range(4, 13)}
-    polynomials: Collection[str] = ("float32",)
     sums = 3
-    filters = False
     slab = 0
-    subtree: Subtrees | None = None
     peaks, mean_squares = staticmethod(summation.peaks), staticmethod(summation.mean_squares)
     accumulate = staticmethod(summation.accumulate)
 
     def isa(self) -> str:
         return str(binding.get_host_cpu_name())
-
-    def costs(self) -> str:
-        return self.name
 
     def arcs(
         self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
@@ -60,4 +54,4 @@ class Fallback:
         return Interpreted(setting, reader, room)
 
 
-ENGINE: Engine = Fallback()
+ENGINE: Parts = Fallback()

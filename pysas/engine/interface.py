@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -12,49 +12,62 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine.steps import Setting, Steps
 from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
 from pysas.engine.traces import Records
-from pysas.engine.tree import IntArray, SubImages
 
-Subtrees = Callable[..., tuple[IntArray, tuple[SubImages, ...], float] | None]
+Tick = Callable[[float], None] | None
+Places = FloatArray | tuple[FloatArray, FloatArray, FloatArray] | Callable[[npt.NDArray[np.int64]], FloatArray]
+
+
+class Done(Protocol):
+    """What became of some data, and the plan that was carried out: its `choices`, as planning.settings.Choices has them, with
+    errors by name; `share` of the terms that went through `trees`, and `why_direct` where these were asked for in vain.
+
+    left_out : traces with samples that are not finite; used : number of traces summed; beside : error that bright samples
+    make beyond the plan's bounds; lost : share of the image that its type does not hold; loudest : trace beside which others
+    are lost in float32, or -1.
+    """
+
+    choices: dict[str, Any]
+    share: float
+    trees: int
+    why_direct: str
+    prepare_seconds: float
+    sum_seconds: float
+    terms: int
+    left_out: Sequence[int]
+    used: int
+    beside: float
+    lost: float
+    loudest: int
+
+
+class Planned(Protocol):
+    """A plan of an engine that plans by itself; seconds : predicted, on one thread; memory : bytes beyond the input."""
+
+    choices: dict[str, Any]
+    isa: str
+    share: float
+    trees: int
+    why_direct: str
+    seconds: float
+    memory: int
+
+    def describe(self, shape: str, more: int) -> str:
+        """In words, of an image of a shape, with `more` bytes that a caller allocates."""
+
+    def other(self) -> str:
+        """The method that is not used: its predicted time, or why it cannot be."""
+
+    def __call__(self, data: ComplexArray, image: ComplexArray, whole: bool, tick: Tick) -> Done:
+        """Image (ping, channel, sample) into (row, column); an error where a trace is not finite, with `whole`."""
 
 
 class Engine(Protocol):
-    """Sums of back-projection and steps of trees, and what they are made for.
-
-    name : as `backend` has it; nodes : of delay polynomials, by precision; sines : numbers of terms of sine and cosine to
-    choose from, by precision; polynomials : precisions in which delays may be polynomials; sums : float sums that a term goes
-    through; filters : whether tables are made by short filters, or else by transforms; slab : points whose delays are exact
-    that are looked at at a time, or 0; subtree : makes the tree below a group as `subtrees.make` does, or None.
-    """
+    """Something that sums. name : as `backend` has it."""
 
     name: str
-    polynomials: Collection[str]
-    sums: int
-    filters: bool
-    slab: int
-    subtree: Subtrees | None
-
-    @property
-    def nodes(self) -> Mapping[str, int]: ...
-
-    @property
-    def sines(self) -> Mapping[str, Sequence[int]]: ...
 
     def isa(self) -> str:
         """What kernels run on: an instruction set, or a processor's name."""
-
-    def costs(self) -> str:
-        """Which row of a table of costs is this engine's."""
-
-    def peaks(self, data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
-        """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where the
-        trace is not, within or without them."""
-
-    def mean_squares(
-        self, data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float,
-        threads: int,
-    ) -> FloatArray:  # fmt: skip
-        """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off
-        records."""
 
     def arcs(
         self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
@@ -68,6 +81,45 @@ class Engine(Protocol):
         angle or a gap is about as wide as makes an opening. O(point trace log trace).
         """
 
+
+@runtime_checkable
+class Planning(Engine, Protocol):
+    """An engine that plans by itself."""
+
+    def plan(
+        self, scene: Any, shape: tuple[int, ...], mask: npt.NDArray[np.bool_] | None,
+        points: Places, tol: float, budget: float, method: str, fallback: bool, threads: int,
+    ) -> Planned:  # fmt: skip
+        """How to image a planning.scene.Scene on a grid of a shape and mask, whose pixels lie at `points`: a list (n, 3), x,
+        y and heights (y, x) of a map, or what tells coordinates about the scene's centre by pixels' numbers.
+
+        `budget` : of tol, what sums may be wrong by; `fallback` : whether direct sums may stand in for trees.
+        """
+
+
+class Parts(Engine, Protocol):
+    """An engine whose sums are put together by its callers.
+
+    nodes : of delay polynomials, by precision; sines : numbers of terms of sine and cosine to choose from, by precision; sums :
+    float sums that a term goes through; slab : points whose delays are exact that are looked at at a time, or 0.
+    """
+
+    nodes: Mapping[str, int]
+    sines: Mapping[str, Sequence[int]]
+    sums: int
+    slab: int
+
+    def peaks(self, data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
+        """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where the
+        trace is not, within or without them."""
+
+    def mean_squares(
+        self, data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float,
+        threads: int,
+    ) -> FloatArray:  # fmt: skip
+        """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off
+        records."""
+
     def accumulate(
         self, data: ComplexArray, order: npt.NDArray[np.int64], survey: Survey, reader: Any, scale: float, raster: Raster,
         trigonometry: Trigonometry, real: npt.DTypeLike, batch: int, image: ComplexArray, threads: int,
@@ -78,3 +130,6 @@ class Engine(Protocol):
 
     def steps(self, setting: Setting, reader: Any, room: int) -> Steps:
         """The steps of trees, with tables of at most `room` traces at a time."""
+
+
+AnyEngine = Planning | Parts

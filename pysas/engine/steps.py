@@ -34,18 +34,6 @@ class Setting:
     isa: str
 
 
-@dataclass(frozen=True)
-class Stack:
-    """How pixels off a sub-image's plane are read from it: at their range and place along its group's axis (3,).
-
-    They weigh what the polynomial through values on all `heights` (m), of which this plane's is `number`, has of it.
-    """
-
-    axis: FloatArray
-    heights: FloatArray
-    number: int
-
-
 class Steps(Protocol):
     """What trees are summed by; tables of at most as many traces at a time as it was made for."""
 
@@ -64,13 +52,10 @@ class Steps(Protocol):
         """A parent from some of its children; `last`: filtered across; `top`: filtered along."""
 
     def read(
-        self, top: SubImages, store: Single, lines: Lines | None, points: FloatArray | None, stack: Stack | None,
-        mask: BoolArray | None, count: int, tiles: BoolArray, image: ComplexArray,
+        self, top: SubImages, store: Single, lines: Lines, mask: BoolArray | None, count: int, tiles: BoolArray,
+        image: ComplexArray,
     ) -> None:  # fmt: skip
-        """Add a sub-image at the pixels of `tiles`: of lines on its plane, or of points (line, pixel, 3) near it."""
+        """Add a sub-image at the pixels of `tiles`, of lines on its plane."""
 
-    def direct(
-        self, survey: Survey, lines: Lines | None, points: FloatArray | None, pixels: BoolArray, count: int,
-        image: ComplexArray, tick: Tick,
-    ) -> int:  # fmt: skip
-        """Add the prepared traces at `pixels` of lines, or of points (1, pixel, 3); how many terms."""
+    def direct(self, survey: Survey, lines: Lines, pixels: BoolArray, count: int, image: ComplexArray, tick: Tick) -> int:
+        """Add the prepared traces at `pixels` of lines; how many terms."""

@@ -17,12 +17,12 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba, _numba_samples
 from pysas.engine.preparation import Interpolator, coefficients, segments
-from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, in_native_order, rows_per_task
+from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, readable, rows_per_task
 from pysas.engine.traces import Records, reals
 
 
 def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
-    """As native.peaks."""
+    """Largest |real| or |imaginary| part of samples [begin, end) of each trace; not finite where the trace is not."""
     traces = data if data.ndim == 3 else data[:, None, :]
     found = np.zeros(traces.shape[:2])
     begin, end = (np.asarray(at).reshape(found.shape) for at in (begin, end))
@@ -30,7 +30,7 @@ def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.
 
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
-        pool.call(_numba_samples.peaks, in_native_order(traces[some]), begin[some], end[some], found[some])
+        pool.call(_numba_samples.peaks, readable(traces[some]), begin[some], end[some], found[some])
 
     pool.run(measure, -(-traces.shape[0] // size), threads)
     return found
@@ -47,7 +47,7 @@ def mean_squares(
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
         first, last = np.min(trace[some]) // channels, np.max(trace[some]) // channels
-        near = in_native_order(data[first : last + 1])
+        near = readable(data[first : last + 1])
         pool.call(_numba_samples.mean_squares, near, trace[some] - first * channels, place[some], reach, inverse, out[some])
 
     pool.run(measure, -(-trace.size // size), threads)

@@ -12,7 +12,7 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import _numba, _numba_tree, summation
 from pysas.engine.preparation import Interpolator
-from pysas.engine.steps import BoolArray, Lines, Setting, Single, Stack, Tick
+from pysas.engine.steps import BoolArray, Lines, Setting, Single, Tick
 from pysas.engine.survey import Survey
 from pysas.engine.traces import BLOCK, TILE_ROWS, reals
 from pysas.engine.tree import SubImages
@@ -99,12 +99,12 @@ class Interpreted:
             self._smooth_across(parent, store)
 
     def read(
-        self, top: SubImages, store: Single, lines: Lines | None, points: FloatArray | None, stack: Stack | None,
-        mask: BoolArray | None, count: int, tiles: BoolArray, image: ComplexArray,
+        self, top: SubImages, store: Single, lines: Lines, mask: BoolArray | None, count: int, tiles: BoolArray,
+        image: ComplexArray,
     ) -> None:  # fmt: skip
         """As Steps."""
+        first, step = lines
         taps, wanted = self.setting.taps, np.flatnonzero(tiles)
-        place, shape = top.place[0], top.shape[0]
 
         def look(task: int) -> None:
             rows, columns = _tile(int(wanted[task]), image.shape, count)
@@ -112,32 +112,19 @@ class Interpreted:
             if not active.any():
                 return
             out = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.complex64)
-            pixels, axis, heights, number = np.empty((0, 0, 3)), np.zeros(3), np.empty(0), 0
-            blocks = np.zeros((len(out), 6))
-            if lines is not None:
-                blocks = np.concatenate([lines[0][rows] + columns.start * lines[1][rows], lines[1][rows]], axis=1)
-            if points is not None and stack is not None:
-                pixels, axis, heights, number = points[rows, columns], stack.axis, stack.heights, stack.number
+            blocks = np.concatenate([first[rows] + columns.start * step[rows], step[rows]], axis=1)
             pool.call(
                 _numba_tree.read,
-                place, shape, store, taps.even, taps.odd, self.setting.wave, self.turns[0], self.turns[1], blocks, pixels, axis,
-                heights, number, active, out,
+                top.place[0], top.shape[0], store, taps.even, taps.odd, self.setting.wave, self.turns[0], self.turns[1],
+                blocks, active, out,
             )  # fmt: skip
             image[rows, columns] += out
 
         self._run(look, len(wanted), None)
 
-    def direct(
-        self,
-        survey: Survey,
-        lines: Lines | None,
-        points: FloatArray | None,
-        pixels: BoolArray,
-        count: int,
-        image: ComplexArray,
-        tick: Tick,
-    ) -> int:
+    def direct(self, survey: Survey, lines: Lines, pixels: BoolArray, count: int, image: ComplexArray, tick: Tick) -> int:
         """As Steps."""
+        first, step = lines
         geometry, flat = self._numbered(survey)
         model = reals(survey.model)
         tiles = -(-image.shape[0] // TILE_ROWS) * -(-image.shape[1] // count)
@@ -148,16 +135,11 @@ class Interpreted:
             active = pixels[rows, columns].any(axis=1)
             if not active.any():
                 return
-            width = columns.stop - columns.start
-            blocks, coords = np.zeros((rows.stop - rows.start, 6)), np.empty((0, 3))
-            if lines is not None:
-                blocks = np.concatenate([lines[0][rows] + columns.start * lines[1][rows], lines[1][rows]], axis=1)
-            if points is not None:
-                coords = points[rows, columns].reshape(-1, 3)
-            out = np.zeros((len(blocks), width), dtype=np.complex64)
+            blocks = np.concatenate([first[rows] + columns.start * step[rows], step[rows]], axis=1)
+            out = np.zeros((len(blocks), columns.stop - columns.start), dtype=np.complex64)
             counted[task] = pool.call(
                 _numba.sum_tile,
-                coords, blocks, lines is not None, active, geometry, model, survey.kind, flat,
+                np.empty((0, 3)), blocks, True, active, geometry, model, survey.kind, flat,
                 summation.places(out.shape[1], np.float32), self.nodes, self.fit, self.half, self.sums[0], self.sums[1],
                 self.pairs, *survey.weighing(), out,
             )  # fmt: skip

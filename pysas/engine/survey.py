@@ -92,6 +92,7 @@ class Raster(Protocol):
     def locate(self, tile: Tile) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]: ...
 
 
-def in_native_order(samples: ComplexArray) -> ComplexArray:
-    """`samples` in this machine's byte order, in which alone kernels read; themselves where they are."""
-    return samples if samples.dtype.isnative else samples.astype(samples.dtype.newbyteorder("="))
+def readable(samples: ComplexArray) -> ComplexArray:
+    """`samples` as kernels read them: this machine's byte order, aligned, whole elements apart; themselves where they are."""
+    plain = samples.flags.aligned and all(step % samples.itemsize == 0 for step in samples.strides)
+    return samples if samples.dtype.isnative and plain else np.array(samples, dtype=samples.dtype.newbyteorder("="), order="C")

@@ -1,6 +1,6 @@
 """Fast factorised back-projection: the sum of back-projection through a tree of sub-apertures.
 
-`accumulate` carries out on the engine what forest.py laid out. Choices are made in planner.py. docs/ffbp.md tells what bounds
+`accumulate` carries out on the engine what planning/fallback laid out. docs/ffbp.md tells what bounds
 the error.
 """
 
@@ -14,15 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas._checks import ComplexArray, FloatArray, InternalError
-from pysas.engine.steps import Lines, Setting, Stack, Steps
+from pysas._checks import ComplexArray, InternalError
+from pysas.engine.steps import Setting, Steps
 from pysas.engine.survey import Survey, Totals, Trigonometry
-from pysas.engine.traces import TILE_ROWS
 from pysas.engine.tree import SubImages
-from pysas.imaging.plans import Plan
-from pysas.planning.forest import batches
-from pysas.planning.raster import Raster
-from pysas.planning.tiles import Section, Tree, pixels_of
+from pysas.imaging.interpreted import Interpreted
+from pysas.planning.tiles import batches, pixels_of
 
 
 class _Levels:
@@ -57,7 +54,7 @@ class _Levels:
 
 
 def accumulate(
-    plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Survey], scale: float,
+    plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], survey_of: Callable[[Any], Survey], scale: float,
     trigonometry: Trigonometry, carrier: Trigonometry, image: ComplexArray, progress: Callable[[float], None] | None,
 ) -> Totals:  # fmt: skip
     """Add all traces `used` of `samples` to `image` (line, pixel), by trees and directly."""
@@ -75,7 +72,8 @@ def accumulate(
     prepared = summed = 0.0
     terms = done = 0
     for section, t in trees:
-        part_of = image[section.begin : section.end]
+        own = slice(section.begin, section.end)
+        part_of, lines = image[own], (raster.first[own], raster.step[own])
         direct = pixels_of(t.direct, section, raster.count) if t.direct.any() else None
         survey, kept = survey_of(t.order), used[t.order]
         if not kept.all():
@@ -98,67 +96,14 @@ def accumulate(
                 if len(levels) > 1:
                     sub_images.merge(levels, 0, leaf0, leaf1)
             if direct is not None:
-                terms += _direct(steps, raster, section, direct, batch, part_of, tick)
+                terms += steps.direct(batch, lines, direct, raster.count, part_of, tick)
             summed += time.perf_counter() - now
         done += len(t.order)
         if levels:
             now = time.perf_counter()
-            _read(steps, raster, section, t, levels[-1], sub_images.stores[len(levels) - 1], part_of)
-            terms += 0 if section.number else int(np.count_nonzero(kept)) * int(section.pixels[t.read].sum())
+            steps.read(levels[-1], sub_images.stores[len(levels) - 1], lines, section.mask, raster.count, t.read, part_of)
+            terms += int(np.count_nonzero(kept)) * int(section.pixels[t.read].sum())
             summed += time.perf_counter() - now
             if progress is not None:
                 progress(done / whole)
     return Totals(prepared, summed, terms)
-
-
-def _direct(
-    steps: Steps, raster: Raster, section: Section, pixels: npt.NDArray[np.bool_], batch: Survey, image: ComplexArray,
-    tick: Callable[[float], None],
-) -> int:  # fmt: skip
-    """Add prepared traces at `pixels` of a section that are not read from trees; how many terms."""
-    if raster.straight:
-        return steps.direct(batch, _lines(raster, section), None, pixels, raster.count, image, tick)
-    terms = 0
-    for row, last in _bands(section, pixels):
-        points = _points(raster, section, row, last).reshape(1, -1, 3)
-        some = np.zeros((1, points.shape[1]), dtype=image.dtype)
-        terms += steps.direct(batch, None, points, pixels[row:last].reshape(1, -1), raster.count, some, tick)
-        image[row:last] += some.reshape(last - row, -1)
-    return terms
-
-
-def _read(
-    steps: Steps, raster: Raster, section: Section, t: Tree, top: SubImages, store: npt.NDArray[np.float32],
-    image: ComplexArray,
-) -> None:  # fmt: skip
-    """Add a tree's topmost sub-image at the pixels that are read from it."""
-    if section.flat and raster.straight:
-        steps.read(top, store, _lines(raster, section), None, None, section.mask, raster.count, t.read, image)
-        return
-    stack = Stack(t.group.axis, section.planes, section.number)
-    tiles = t.read.reshape(-1, -(-section.width // raster.count))
-    for row, last in _bands(section, pixels_of(t.read, section, raster.count)):
-        part = None if section.mask is None else section.mask[row:last]
-        points, here = _points(raster, section, row, last), tiles[row // TILE_ROWS]
-        steps.read(top, store, None, points, stack, part, raster.count, here, image[row:last])
-
-
-def _lines(raster: Raster, section: Section) -> Lines:
-    own = slice(section.begin, section.end)
-    return raster.first[own], raster.step[own]
-
-
-def _bands(section: Section, pixels: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Rows of tiles, as lines [begin, end), that have any of the pixels."""
-    height = section.end - section.begin
-    rows = [(top, min(top + TILE_ROWS, height)) for top in range(0, height, TILE_ROWS)]
-    return [(top, bottom) for top, bottom in rows if pixels[top:bottom].any()]
-
-
-def _points(raster: Raster, section: Section, top: int, bottom: int) -> FloatArray:
-    """Pixels (line, pixel, 3) of some of a section's lines."""
-    first, last = section.begin + top, section.begin + bottom
-    if raster.straight:
-        along = np.arange(section.width)[None, :, None] * raster.step[first:last, None]
-        return np.ascontiguousarray(raster.first[first:last, None] + along)
-    return raster.points(first * section.width, last * section.width).reshape(bottom - top, section.width, 3)

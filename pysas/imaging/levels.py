@@ -15,7 +15,6 @@ import dataclasses
 import functools
 import itertools
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,11 +24,11 @@ import scipy.fft
 
 from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine import MONOSTATIC, Engine, preparation
+from pysas.engine import MONOSTATIC, Parts, preparation
 from pysas.engine.survey import rows_per_task
-from pysas.imaging.plans import Plan, Terms
+from pysas.imaging.interpreted import Interpreted, Terms
 from pysas.planning import bounds
-from pysas.planning.choices import SHARE_LEAVES, SHARE_ROUNDING, WIDE_ERROR, choose, choose_for_leaves
+from pysas.planning.fallback import planner
 from pysas.planning.raster import Raster
 from pysas.planning.scene import distances
 from pysas.planning.settings import Choices, reader_of
@@ -63,14 +62,14 @@ class _Data:
     used: npt.NDArray[np.bool_]
     weight: FloatArray
     scale: float
-    engine: Engine
+    engine: Parts
     threads: int
 
     def mean_squares(self, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int) -> FloatArray:
         return self.engine.mean_squares(self.samples, trace, place, reach, self.scale, self.threads)
 
 
-def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Plan:
+def fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Interpreted:
     """The plan that images `samples` within its tol: itself where the levels are as it takes them to be, or another.
 
     Itself too where no float64 holds the squares of both weights and samples.
@@ -86,7 +85,7 @@ def fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: f
         return _fit(plan, samples, used, scale)
 
 
-def _fit(plan: Plan, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Plan:
+def _fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Interpreted:
     terms = terms_of(plan)
     keep = used[terms.trace]
     some = dataclasses.replace(terms, trace=terms.trace[keep], place=terms.place[keep])
@@ -141,28 +140,27 @@ def _weighed(weights: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -
     return np.asarray(np.sum(np.ldexp(parts, -top) ** 2, axis=0)), unit
 
 
-def _predicted(plan: Plan) -> float:
+def _predicted(plan: Interpreted) -> float:
     """The part of the predicted error that is the budget's: weights uniform in view angle have a share of tol beside it."""
     errors = plan.choices.errors
     return plan.choices.predicted_error - errors.get("view angles", 0.0)
 
 
-def notes(plan: Plan) -> list[str]:
-    """What a person should know of a plan that `fit` took in place of another; warns where it does not keep its budget."""
-    found = []
+def notes(plan: Interpreted) -> tuple[list[str], list[str]]:
+    """What a person should know of a plan that `fit` took in place of another; and be warned of, where it does not keep its
+    budget."""
+    found, warned = [], []
     if plan.choices.wide:
         found.append("whole records read in float64: samples beside those that pixels read are bright")
     if _predicted(plan) > plan.budget * (1 + 1e-9):
-        text = (
+        warned.append(
             f"tol={plan.tol:g} is not promised, error {plan.choices.predicted_error:.2g} predicted: float64 cannot tell what "
             "pixels read from the bright samples beside"
         )
-        warnings.warn(text, stacklevel=5)
-        found.append(text)
-    return found
+    return found, warned
 
 
-def terms_of(plan: Plan) -> Terms:
+def terms_of(plan: Interpreted) -> Terms:
     """Some of a plan's terms, from all traces in turn; found once."""
     if plan.terms is None:
         scene = plan.scene
@@ -179,7 +177,7 @@ def terms_of(plan: Plan) -> Terms:
     return plan.terms
 
 
-def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _edges(plan: Interpreted, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Least and largest place (2, trace) that a pixel in the grid's box reads: at its nearest point, and in a corner."""
     scene = plan.scene
     at = scene.trace.take(heard)
@@ -195,7 +193,7 @@ def _edges(plan: Plan, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return np.asarray(np.clip(edges, -1, scene.n_sample), dtype=np.int64)
 
 
-def _ends(plan: Plan, data: _Data) -> FloatArray:
+def _ends(plan: Interpreted, data: _Data) -> FloatArray:
     """Twice the mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
     n, number = plan.scene.n_sample, np.flatnonzero(data.used)
     out = np.zeros((2, data.used.size))
@@ -205,7 +203,7 @@ def _ends(plan: Plan, data: _Data) -> FloatArray:
     return out
 
 
-def _outside(plan: Plan, data: _Data, reach: int, own: float) -> float:
+def _outside(plan: Interpreted, data: _Data, reach: int, own: float) -> float:
     """Mean square, over the terms, of bright samples within `reach` of them just outside what pixels read, in all traces.
 
     A term near an edge reaches up to `reach` samples beyond, one in 2 `reach` + 1 each; how many terms are so near is told by
@@ -231,7 +229,7 @@ def _outside(plan: Plan, data: _Data, reach: int, own: float) -> float:
     return total / terms.trace.size
 
 
-def _low_passed(plan: Plan, data: _Data, some: Terms) -> float:
+def _low_passed(plan: Interpreted, data: _Data, some: Terms) -> float:
     """Mean square of what pixels read of whole records low-passed by W: what rings of bright samples elsewhere included."""
     number, n_sample = np.unique(some.trace), plan.scene.n_sample
     n_fft = scipy.fft.next_fast_len(2 * n_sample)
@@ -252,7 +250,7 @@ def _low_passed(plan: Plan, data: _Data, some: Terms) -> float:
     return float(np.mean(data.weight[some.trace] * squares))
 
 
-def _tree_reach(plan: Plan) -> int:
+def _tree_reach(plan: Interpreted) -> int:
     """Samples to each side of a term's that the nodes read for it hold."""
     forest = plan.forest
     if forest is None:
@@ -262,30 +260,22 @@ def _tree_reach(plan: Plan) -> int:
 
 
 def _measured(
-    plan: Plan, data: _Data, some: Terms, own: float, ends: FloatArray, alike: Callable[[], float]
+    plan: Interpreted, data: _Data, some: Terms, own: float, ends: FloatArray, alike: Callable[[], float]
 ) -> tuple[float, float]:
     """Error, in units of the data's scale, that a plan's tables make of the terms; and what of it is in its bounds.
 
-    Errors of a filter are spread over its reach; `alike` : times the power that bright ends have in an image.
+    `alike` : times the power that bright ends have in an image.
     """
     c, scene, weight = plan.choices, plan.scene, data.weight[some.trace]
     planned = 0.0 if c.wide else c.errors["interpolation"]  # in whole records' tables it is wrong by what is read itself
-    reach = (c.taps // 2 if not c.n_fft else (c.taps + 3) // 4) + 1
-    reach = reach if c.taps else 0
-    beside = WIDE_ERROR if c.wide else planned
-    squares = np.zeros(some.trace.size)
-    if reach:
-        found = weight * data.mean_squares(some.trace, some.place, reach)
-        squares += beside**2 * max(float(np.mean(found)), _outside(plan, data, reach, own))
-    if not reach:  # transforms' polynomials are wrong by what they read
-        squares += planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
-    hidden = "wrap-round" if "wrap-round" in c.errors else "record's ends"
+    # transforms' polynomials are wrong by what they read
+    squares = planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
     start = scene.first - 1 - c.margin
     within = (start + c.taper <= 0, start + c.length - c.taper >= scene.n_sample)
     for side, distance in ((0, some.place), (1, scene.n_sample - 1 - some.place)):
-        if c.n_fft:  # what is not cut away is read as it is, and comes round behind the other end
-            kept = within[side][some.trace] if c.taper else True
-            distance = np.where(kept, c.n_fft - distance, distance)
+        # what is not cut away is read as it is, and comes round behind the other end
+        kept = within[side][some.trace] if c.taper else True
+        distance = np.where(kept, c.n_fft - distance, distance)
         cut = ends[side, some.trace]
         loudest = float(bounds.ringing(np.min(distance), scene.band)) ** 2 * float(np.max(cut))
         least = (NOTHING * c.predicted_error * own) ** 2
@@ -296,22 +286,21 @@ def _measured(
         squares += cut * rings
         if float(np.mean(bright)) * scene.traces > least:
             squares += (alike() - 1) * bright
-    if c.n_fft:
-        number = np.flatnonzero(data.used)
-        middle = np.full(number.size, scene.n_sample // 2)
-        power = np.zeros(data.used.size)
-        power[number] = data.mean_squares(number, middle, scene.n_sample) * (2 * scene.n_sample + 1) / scene.n_sample
-        single = c.precision == "float32" and not c.wide
-        squares += (TRANSFORM * 2.0 ** (-24 if single else -53)) ** 2 * weight * power[some.trace]
+    number = np.flatnonzero(data.used)
+    middle = np.full(number.size, scene.n_sample // 2)
+    power = np.zeros(data.used.size)
+    power[number] = data.mean_squares(number, middle, scene.n_sample) * (2 * scene.n_sample + 1) / scene.n_sample
+    single = c.precision == "float32" and not c.wide
+    squares += (TRANSFORM * 2.0 ** (-24 if single else -53)) ** 2 * weight * power[some.trace]
     if c.taper:
         for place in (start, start + c.length - c.taper):
             middle = place[some.trace] + c.taper // 2
             cut = data.mean_squares(some.trace, middle, c.taper // 2 + 1)
             squares += math.exp(-2 * c.beta) * weight * cut
-    return math.sqrt(np.mean(squares)), planned + c.errors.get(hidden, 0.0)
+    return math.sqrt(np.mean(squares)), planned + c.errors["wrap-round"]
 
 
-def _alike(plan: Plan, data: _Data) -> float:
+def _alike(plan: Interpreted, data: _Data) -> float:
     """How much more power than of unrelated samples a pixel has of what rings at one sample of all traces, at some pixels.
 
     A transmit pulse that a record's start cuts is the same in all of them; W rings at about 0.47 of the sample rate.
@@ -328,15 +317,15 @@ def _alike(plan: Plan, data: _Data) -> float:
     return most
 
 
-def _direct(plan: Plan) -> Plan:
+def _direct(plan: Interpreted) -> Interpreted:
     """The same without trees."""
     if not plan.fallback:
         raise ValueError(f"fallback=False, tol={plan.tol:g}: samples beside those that pixels read are too bright for trees")
     found = plan.others.get("direct")
     if found is None:
-        choices = _named(plan, choose(plan.scene, plan.budget, plan.engine), KEPT[-1:])
+        choices = _named(plan, planner.choose(plan.scene, plan.budget, plan.engine), KEPT[-1:])
         found = _with(plan, choices)
-        found.reader = reader_of(choices, plan.scene.band)
+        found.reader = reader_of(choices)
         found.forest = None
         found.why_direct = "samples beside those that pixels read are too bright for trees"
         found.raster = Raster(plan.grid, plan.scene, choices.block)
@@ -344,7 +333,7 @@ def _direct(plan: Plan) -> Plan:
     return found
 
 
-def _wide(plan: Plan, ends: float) -> Plan:
+def _wide(plan: Interpreted, ends: float) -> Interpreted:
     """The same with tables from whole records, whose ends are `ends` times as bright as what pixels read.
 
     Without trees where their rate is too low for all that whole records hold.
@@ -355,26 +344,25 @@ def _wide(plan: Plan, ends: float) -> Plan:
     if found is None:
         choices: Choices | None
         if plan.forest is not None:
-            share = SHARE_LEAVES * plan.budget
-            choices = choose_for_leaves(plan.scene, share, plan.engine, SHARE_ROUNDING, plan.forest.rate, ends)
+            choices = planner.for_leaves(plan.scene, plan.budget, plan.engine, plan.forest, ends)
         else:
-            choices = choose(plan.scene, plan.budget, plan.engine, ends)
+            choices = planner.choose(plan.scene, plan.budget, plan.engine, ends)
         if choices is None:
             found = _wide(_direct(plan), ends)
         else:
             found = _with(plan, _named(plan, choices))
-            found.reader = reader_of(found.choices, plan.scene.band)
+            found.reader = reader_of(found.choices)
         plan.others[name] = found
     return found
 
 
-def _named(plan: Plan, choices: Choices, names: tuple[str, ...] = KEPT) -> Choices:
+def _named(plan: Interpreted, choices: Choices, names: tuple[str, ...] = KEPT) -> Choices:
     """Choices with the errors that they do not know of."""
     kept = {name: error for name, error in plan.choices.errors.items() if name in names}
     return dataclasses.replace(choices, errors=choices.errors | kept)
 
 
-def _with(plan: Plan, choices: Choices) -> Plan:
+def _with(plan: Interpreted, choices: Choices) -> Interpreted:
     other = copy.copy(plan)
-    other.choices, other.reported = choices, choices.reported()
+    other.choices = choices
     return other

@@ -7,6 +7,7 @@ import itertools
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,29 +15,66 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import ComplexArray
 from pysas.engine import MONOSTATIC, MOVING, Engine
-from pysas.engine.survey import rows_per_task
+from pysas.engine.survey import Totals
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
-from pysas.planning import view_angles
-from pysas.planning.costs import prepare_seconds, sum_seconds
-from pysas.planning.forest import Forest
-from pysas.planning.raster import Raster
 from pysas.planning.scene import Scene
-from pysas.planning.settings import Choices, reader_of
+from pysas.planning.settings import Choices
 
 
 @dataclass(frozen=True)
-class Terms:
-    """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
+class Done:
+    """What became of some data: the choices that were carried out, which traces were finite, what a person should know, the
+    parts of that to be warned of, and the share of the terms that went through trees."""
 
-    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
+    totals: Totals
+    choices: Choices
+    share: float
+    finite: npt.NDArray[np.bool_]
+    notes: list[str]
+    warned: list[str]
+
+
+class EnginePlan(Protocol):
+    """A plan as one engine has it.
+
+    choices : settings; isa : what its kernels run on; share : of the terms, through trees; trees : how many of these;
+    why_direct : why trees that were asked for are not used, or nothing; seconds : predicted, on one thread; memory : bytes
+    allocated beyond the input.
     """
 
-    trace: npt.NDArray[np.int64]
-    place: npt.NDArray[np.int64]
-    heard: npt.NDArray[np.int64]
-    edges: npt.NDArray[np.int64]
+    @property
+    def choices(self) -> Choices: ...
+
+    @property
+    def isa(self) -> str: ...
+
+    @property
+    def share(self) -> float: ...
+
+    @property
+    def trees(self) -> int: ...
+
+    @property
+    def why_direct(self) -> str: ...
+
+    @property
+    def seconds(self) -> float: ...
+
+    @property
+    def memory(self) -> int: ...
+
+    def describe(self) -> str:
+        """For print(plan)."""
+
+    def other(self) -> str:
+        """The method that is not used: its predicted time, or why it cannot be."""
+
+    def image(
+        self, samples: ComplexArray, image: ComplexArray, nan: str, progress: Callable[[float], None] | None
+    ) -> Done:  # fmt: skip
+        """Image `samples` into `image`, of the grid's shape and any strides, which is overwritten."""
 
 
 class Plan:
@@ -49,38 +87,22 @@ class Plan:
     """
 
     def __init__(
-        self,
-        echoes: Echoes,
-        grid: Grid,
-        tol: float,
-        scene: Scene,
-        choices: Choices,
-        threads: int,
-        engine: Engine,
-        nan: str,
-        method: str,
-        forest: Forest | None,
-        why_direct: str,
-        budget: float,
-        fallback: bool,
-        execute: Callable[[Plan, npt.ArrayLike, ComplexArray | None, Callable[[float], None] | None], Image],
-        alternative: Callable[[Plan], str],
-    ) -> None:
-        self.budget = budget  # of tol: what choices were made for
-        self.execute, self.alternative = execute, alternative
-        self.fallback = fallback  # whether trees may be left for data that are too bright for them
-        self.terms: Terms | None = None  # looked at when data arrive, see levels.py
-        self.others: dict[str, Plan] = {}  # that take this one's place for some data
-        self.tol, self.choices, self.threads, self.engine = tol, choices, threads, engine
+        self, echoes: Echoes, grid: Grid, tol: float, scene: Scene, engine: Engine, threads: int, nan: str, method: str,
+        by: EnginePlan, execute: Callable[[Plan, npt.ArrayLike, ComplexArray | None, Callable[[float], None] | None], Image],
+    ) -> None:  # fmt: skip
+        self.by, self.execute = by, execute
+        self.tol, self.threads, self.engine = tol, threads, engine
         self.grid, self.scene, self.nan = grid, scene, nan
-        self.method, self.forest, self.why_direct = method, forest, why_direct
+        self.method = "ffbp" if by.trees else method
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
-        self.raster = Raster(grid, scene, choices.block) if forest is None else forest.raster
-        self.reported = choices.reported()
-        self.reader = reader_of(choices, scene.band)
         self.silent = scene.why_empty()
         if self.silent:
             warnings.warn(self.silent, stacklevel=5)
+
+    @property
+    def choices(self) -> Choices:
+        """Settings, and the bound of each contribution to the error."""
+        return self.by.choices
 
     @property
     def backend(self) -> str:
@@ -175,72 +197,26 @@ class Plan:
                 yield image
 
     def __str__(self) -> str:
-        c, scene = self.choices, self.scene
-        shape = " x ".join(map(str, self.grid.shape))
-        delay = f"polynomials over {c.block} pixels, exact below {c.near:.3g} m" if c.block else "exact per pixel"
-        kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
-        made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
-        return "\n".join(
-            [
-                f"Plan: {self.method} of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
-                f"  backend        {self.backend}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
-                f"  traces         {kept}, {', '.join(made)}",
-                f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
-                f"  delay          {c.delay}, {delay}",
-                f"  terms          {scene.traces * scene.pixels:.4g} at most",
-                *(self.forest.describe() if self.forest is not None else []),
-                *([f"  direct sum     {self.why_direct}"] if self.why_direct else []),
-                *(["  view angles    every pixel's own: views change their order over the image"] if scene.each else []),
-                f"  predicted      error {c.predicted_error:.2g}, time {self.predicted_seconds:.2g} s, "
-                f"memory {self.predicted_memory / 2**20:.0f} MB beyond the input",
-            ]
-        )
+        return self.by.describe()
 
     @property
     def predicted_seconds(self) -> float:
-        """Rough time of an image on this many threads, s, the planning of trees that C++ grows included.
+        """Rough time of an image on this many threads, s, the planning of trees included.
 
         By constants of the planner, not measured on this machine.
         """
-        if self.forest is not None:
-            return self.forest.seconds / self.threads
-        direct = sum_seconds(self.scene, self.choices, self.engine.costs()) + prepare_seconds(self.scene, self.choices)
-        if self.scene.each:
-            direct += 1e-9 * view_angles.ARC_NS.get(self.engine.costs(), 40.0) * self.scene.pixels * self.scene.traces
-        return direct / self.threads
-
-    @property
-    def wide(self) -> bool:
-        """Whether the image is a sum of so many batches, or trees, that complex64 would round it too often."""
-        c = self.choices
-        rounds = -(-self.scene.traces // c.batch)
-        if self.forest is not None:
-            rounds += max(len(section.trees) for section in self.forest.sections)
-        return bool(self.dtype == np.complex64 and rounds > c.run // 8)
+        return self.by.seconds / self.threads
 
     @property
     def predicted_memory(self) -> int:
         """Bytes allocated beyond the input: image, one batch of coefficients, workers' tiles."""
-        c, scene = self.choices, self.scene
-        item = 8 if c.precision == "float32" else 16
-        work = (16 * self.grid.size if self.wide else 0) + c.batch * c.length * c.oversampling * (c.degree + 1) * item
-        if c.n_fft:
-            work += self.threads * rows_per_task(c.n_fine) * (c.length + 2 * c.n_fft + 3 * c.n_fine) * item
-        if not c.block:
-            work += 24 * min(self.engine.slab, self.grid.size)
-        if self.forest is not None:
-            work += self.forest.store_bytes
-        if scene.lattice is not None:
-            work += scene.lattice.value.nbytes
-        if scene.each:
-            work += min(view_angles.BYTES, self.scene.pixels * self.scene.traces * item // 2)
-        return int(self.grid.size * self.dtype.itemsize + work)
+        return self.by.memory
 
     @_checks.usual_errors
     def explain(self) -> str:
         """What the scene has, what was left out and the share of work saved, where the error goes, and the alternatives.
 
-        The other engine comes with its predicted time, or why it cannot keep `tol`; the Fourier algorithms of
+        The other method comes with its predicted time, or why it is not taken; the Fourier algorithms of
         `pysas.reference` are named where the track is straight and even.
         """
         c, scene = self.choices, self.scene
@@ -260,7 +236,7 @@ class Plan:
         ]
         lines += [f"    - {text}" for used, text in rows if used]
         lines += ["  error bounds"] + [f"    - {name}: {value:.2g}" for name, value in c.errors.items()]
-        lines += ["  alternatives", f"    - {self.alternative(self)}"]
+        lines += ["  alternatives", f"    - {self.by.other()}"]
         if scene.even_line():
             first = "" if scene.kind == MONOSTATIC and scene.channels == 1 else ", of reference.phase_centres"
             lines += [

@@ -13,48 +13,10 @@ from numpy.polynomial import Chebyshev, Polynomial
 from pysas._checks import FloatArray
 from pysas.engine import tree
 
-# Tables made by `python -m bench.interpolation_table`: THETA[degree][i] for errors 10^-(1 + i/2), GUARD[i] likewise.
+# Made by `python -m bench.interpolation_table`: GUARD[i] for errors 10^-(1 + i/2).
 # fmt: off
-THETA = {
-    1: (
-        0.6406309, 0.3570764, 0.2002508, 0.1125128, 0.0632535, 0.035567, 0.0200003, 0.0112469,
-        0.0063246, 0.0035566, 0.002, 0.0011247, 0.0006325, 0.0003557, 0.0002, 0.0001125,
-        6.32e-05, 3.56e-05, 2e-05, 1.12e-05, 6.3e-06, 3.6e-06, 2e-06,
-    ),
-    3: (
-        2.2029502, 1.6130996, 1.1948211, 0.8900513, 0.6650094, 0.4976756, 0.3727813, 0.2793691,
-        0.2094227, 0.1570134, 0.1177302, 0.0882796, 0.066198, 0.0496405, 0.0372247, 0.0279144,
-        0.0209328, 0.0156974, 0.0117713, 0.0088273, 0.0066195, 0.0049639, 0.0037224,
-    ),
-    5: (
-        3.948613, 3.1623589, 2.5629358, 2.0910409, 1.7129459, 1.4068107, 1.1573075, 0.9530982,
-        0.7854958, 0.647684, 0.5342275, 0.4407442, 0.3636746, 0.3001126, 0.2476771, 0.2044129,
-        0.1687115, 0.1392486, 0.1149327, 0.0948639, 0.0782999, 0.0646284, 0.0533442,
-    ),
-    7: (
-        5.7628304, 4.8302489, 4.0945778, 3.4942465, 2.9947886, 2.5741886, 2.2171415, 1.9123686,
-        1.651205, 1.4267877, 1.2335575, 1.0669348, 0.9230999, 0.7988365, 0.6914176, 0.5985186,
-        0.5181503, 0.4486054, 0.3884151, 0.3363139, 0.2912101, 0.2521608, 0.2183514,
-    ),
-}
 GUARD = (5, 8, 22, 27, 45, 68, 108, 159, 262, 404, 642, 1018, 1625, 2572, 4070, 6447, 10213, 16193, 25657, 40675, 64460)
 # fmt: on
-
-
-def theta_limit(degree: int, error: float) -> float:
-    """Largest theta at which degree `degree` keeps `error`: THETA read log-linearly."""
-    exponents = 1 + 0.5 * np.arange(len(THETA[degree]))
-    return float(np.exp(np.interp(-np.log10(error), exponents, np.log(THETA[degree]))))
-
-
-def interpolation_error(degree: int, theta: float) -> float:
-    """Bound of the interpolation's error at phase advance `theta`: the inverse of `theta_limit`."""
-    logs = np.log(THETA[degree])[::-1]
-    exponents = (1 + 0.5 * np.arange(len(THETA[degree])))[::-1]
-    below = np.log(max(theta, 1e-12))
-    if below < logs[0]:
-        return float(10.0 ** -exponents[0] * np.exp((degree + 1) * (below - logs[0])))
-    return float(10.0 ** -np.interp(below, logs, exponents))
 
 
 def guard(error: float) -> int:

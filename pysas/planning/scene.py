@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.engine.traces import TRACE
-from pysas.model.echoes import EDGE, EDGE_ANGLE, Echoes
+from pysas.model.echoes import EDGE_ANGLE, Echoes
 from pysas.model.grid import Grid
 
 UNIFORM = "uniform-angle"
@@ -68,60 +69,44 @@ class Scene:
         self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
         self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
-        wanted = None if grid.mask is None else np.flatnonzero(grid.mask)
-        some, more = (_spread(number, self.pixels, seed) for seed, number in enumerate((SAMPLED, DRAWN)))
-        some = some if wanted is None else wanted[some]
-        self._pixels = grid.coordinates(some) - self.origin
-        self.drawn: FloatArray = grid.coordinates(more if wanted is None else wanted[more]) - self.origin
-        self._along = np.zeros(3)
-        self._some: tuple[FloatArray, FloatArray, float] | None = None
+        self._grid = grid
         self.step = self.uneven = 0.0
         if found is not None:
             self.step = float(np.max(np.linalg.norm(found[1], axis=1)))
             self.line_length, self.uneven = grid.shape[-1], found[2]
-            if self.step > 0:
-                self._along = found[1][some // self.line_length] / self.step
-            sensors = (tx,) if self.kind == MONOSTATIC else (tx, rx)
-            self.slope = _slope(found, self.origin, sensors, self.line_length)
+
+    @functools.cached_property
+    def slope(self) -> float:
+        """Largest share of a step along a line that changes the one-way range, or so; see _slope."""
+        if self.lines is None:
+            return 0.0
+        names = ("tx",) if self.kind == MONOSTATIC else ("tx", "rx")
+        return _slope(self.lines, self.origin, tuple(self.trace[name] for name in names), self.line_length)
+
+    @functools.cached_property
+    def _pixels(self) -> FloatArray:
+        return self._draw(SAMPLED, 0)
+
+    @functools.cached_property
+    def drawn(self) -> FloatArray:
+        """Some of the pixels wanted, about the scene's centre."""
+        return self._draw(DRAWN, 1)
+
+    def _draw(self, number: int, seed: int) -> FloatArray:
+        some, mask = _spread(number, self.pixels, seed), self._grid.mask
+        return self._grid.coordinates(some if mask is None else np.flatnonzero(mask)[some]) - self.origin
 
     def _index(self, place: FloatArray) -> npt.NDArray[np.int64]:
         """Places as whole numbers, all beyond the record's ends alike: they may be larger than any int64."""
         return np.clip(place, -1, self.n_sample).astype(np.int64)
 
-    def within(self, distance: float) -> float:
-        """About the share of the terms whose pixel is nearer than `distance` to where its pulse leaves or its echo arrives."""
-        return _below(self._sampled()[0], distance) if distance > self.nearest else 0.0
-
-    def flatter(self, slope: float) -> float:
-        """About the share of the terms whose range changes by less than `slope` of a step along their line."""
-        return _below(self._sampled()[1], slope)
-
-    @property
+    @functools.cached_property
     def lit(self) -> float:
         """About the share of (trace, pixel) pairs within record and beam: the terms."""
-        return self._sampled()[2]
-
-    def _sampled(self) -> tuple[FloatArray, FloatArray, float]:
-        """Of some of the pairs: the terms' distances to the nearer sensor, slopes of the range, both sorted; terms' share."""
-        if self._some is None:
-            # a stride might meet one channel alone
-            some = self.trace.take(np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64))
-            tx, rx, boresight = (some[name].T[..., None] for name in ("tx", "rx", "boresight"))
-            pixel, along = self._pixels.T, self._along.T
-            # (trace, pixel), coordinate by coordinate: sums over a last axis of three are slow
-            away = [[pixel[k] - sensor[k] for k in range(3)] for sensor in (tx, rx)]
-            out = [np.maximum(np.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), 1e-9) for a in away]
-            index = ((out[0] + out[1]) / self.c - some["t0"][:, None]) * self.fs
-            lit = (index >= -EDGE) & (index <= self.n_sample - 1 + EDGE)
-            if self.cos_beam > -1:
-                lit &= sum(away[0][k] * boresight[k] for k in range(3)) >= self.cos_beam * out[0]
-            slope = sum((a[0] * along[0] + a[1] * along[1] + a[2] * along[2]) / r for a, r in zip(away, out, strict=True))
-            self._some = (
-                np.sort(np.minimum(*out)[lit]),
-                np.sort(np.abs(slope)[lit]) / 2,
-                float(np.mean(lit)) if lit.size else 0.0,
-            )
-        return self._some
+        # a stride might meet one channel alone
+        some = np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)
+        _, lit = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
+        return float(np.mean(lit)) if lit.size else 0.0
 
     def read(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
@@ -200,10 +185,6 @@ def _lights(tx: FloatArray, boresight: FloatArray, cosine: float, low: FloatArra
         if np.any(np.sum(away * boresight, axis=1) < (cosine + 1e-9) * np.linalg.norm(away, axis=1)):
             return False
     return True
-
-
-def _below(values: FloatArray, limit: float) -> float:
-    return float(np.searchsorted(values, limit) / max(values.size, 1))
 
 
 def _weights(weights: npt.ArrayLike | str | None, pings: int, channels: int) -> ComplexArray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pysas.engine import native, preparation
+from pysas.engine import preparation
 
 
 @dataclass(frozen=True)
@@ -55,20 +55,9 @@ class Choices:
         return vars(self) | {"errors": dict(self.errors)}
 
 
-def reader_of(choices: Choices, band: float) -> preparation.Interpolator | native.Reader:
-    """What makes coefficients from samples, as chosen."""
+def reader_of(choices: Choices) -> preparation.Interpolator:
+    """What makes coefficients from samples, by transforms as chosen."""
     kind = np.complex64 if choices.precision == "float32" and not choices.wide else np.complex128
-    if not choices.taps:
-        return preparation.interpolator(
-            choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta, kind
-        )
-    error = choices.errors["interpolation"]
-    if not choices.n_fft:
-        return native.Reader(
-            native.design(band, choices.degree, choices.phases, choices.step, error, choices.taps), choices.length
-        )
-    least = choices.taps if choices.wide else native.LEAST_TAPS
-    filter = native.design(0.25, choices.degree, choices.phases, choices.step, error, choices.taps, least)
-    window = preparation.smooth_cut(choices.length, choices.taper, choices.beta, kind)
-    cut = preparation.Cut(choices.length, choices.n_fft, window)
-    return native.Reader(filter, choices.length, cut, choices.wide)
+    return preparation.interpolator(
+        choices.length, choices.n_fft, choices.n_fine, choices.degree, choices.taper, choices.beta, kind
+    )

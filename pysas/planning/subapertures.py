@@ -15,7 +15,6 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pysas._checks import FloatArray
-from pysas.engine.interface import Subtrees
 from pysas.engine.traces import Records
 from pysas.engine.tree import IntArray, SubImages, Taps
 
@@ -77,26 +76,6 @@ def group(traces: IntArray, centres: FloatArray) -> tuple[Group, FloatArray]:
     off = float(np.linalg.norm(points - middle - np.outer(along, axis), axis=1).max())
     axis = axis if high > low else np.array([1.0, 0, 0])
     return Group(traces, middle + axis * (low + high) / 2, high - low, axis, off), along
-
-
-def onto(points: FloatArray, members: Group, plane: float) -> tuple[FloatArray, FloatArray]:
-    """Where the plane has the points' (..., 3) slant range and place along a group's axis, and how far beside that axis (...).
-
-    A group on a line sees the two alike. NaN where the plane has no such place.
-    """
-    across = float(np.linalg.norm(members.axis[:2]))
-    if across < 0.7:
-        return np.full(points.shape, np.nan), np.full(points.shape[:-1], np.nan)
-    ahead = members.axis[:2] / across
-    beside = np.array([-ahead[1], ahead[0]])
-    away = points - members.centre
-    height = members.centre[2] - plane
-    along = (away @ members.axis + height * members.axis[2]) / across
-    square = np.sum(away**2, axis=-1) - height**2 - along**2
-    side = away[..., :2] @ beside
-    off = np.copysign(np.sqrt(np.where(square > 0, square, np.nan)), side)
-    place = members.centre[:2] + along[..., None] * ahead + off[..., None] * beside
-    return np.concatenate([place, np.full((*off.shape, 1), plane)], axis=-1), np.minimum(np.abs(off), np.abs(side))
 
 
 def by_ping(centres: FloatArray, pings: IntArray) -> tuple[FloatArray, IntArray]:
@@ -362,18 +341,13 @@ class Subtree:
 
 def make_subtree(
     members: Group, along: FloatArray, fans: tuple[int, ...], trace: Records, centres: FloatArray, medium: Medium,
-    plane: float, reads: Readings, step: float, taps: Taps, left: int, by: Subtrees | None,
+    plane: float, reads: Readings, step: float, taps: Taps, left: int,
 ) -> Subtree | None:  # fmt: skip
-    """The tree below one of the longest groups, for what is read from it; `by` an engine's own way, if it has one.
+    """The tree below one of the longest groups, for what is read from it.
 
     None where it would have more than about `left` nodes.
     """
     angle, bearings, grounds = reads.direction, reads.bearings, reads.grounds
-    if by is not None:
-        sound = np.array([medium.c, medium.fc, medium.bandwidth, medium.delay])
-        ends = np.concatenate([bearings, grounds], axis=1)
-        found = by(trace, centres, members.traces, sound, fans, taps, plane, angle, ends, step, 2 * left)
-        return None if found is None else Subtree(*found)
     slants = slant(grounds, members.centre[2] - plane)
     root = _tree(members, along, fans, trace, centres, medium, plane, angle, bearings, slants, step, taps, left)
     if root is None:

@@ -31,10 +31,7 @@ class Tree:
 
 @dataclass
 class Section:
-    """Lines [begin, end) of the image and the trees of a horizontal plane that they are read from.
-
-    Lines that lie on no plane are read from a stack of them, polynomials through number `number` of `planes` (heights, m).
-    """
+    """Lines [begin, end) of the image and the trees of the horizontal plane that they are read from."""
 
     begin: int
     end: int
@@ -43,8 +40,6 @@ class Section:
     mask: npt.NDArray[np.bool_] | None
     pixels: npt.NDArray[np.int64]  # wanted of each tile
     corners: FloatArray  # of boxes about the tiles (tile, 4 or 8, 3)
-    planes: FloatArray
-    number: int = 0
     trees: list[Tree] = field(default_factory=list)
 
     @property
@@ -87,8 +82,7 @@ def sections(raster: Raster) -> list[Section]:
         low, high = corners[..., 2].min(), corners[..., 2].max()
         if low == high:  # those above are those below
             corners = np.ascontiguousarray(corners[:, :4])
-        planes = np.array([(low + high) / 2])
-        found.append(Section(int(begin), int(end), width, float(planes[0]), part, pixels.ravel(), corners, planes))
+        found.append(Section(int(begin), int(end), width, float((low + high) / 2), part, pixels.ravel(), corners))
     return found
 
 
@@ -126,3 +120,20 @@ def pixels_of(tiles: BoolArray, section: Section, count: int) -> npt.NDArray[np.
     grid = tiles.reshape(-(-height // TILE_ROWS), -1)
     full = np.repeat(np.repeat(grid, TILE_ROWS, axis=0), count, axis=1)[:height, : section.width]
     return np.ascontiguousarray(full if section.mask is None else full & section.mask)
+
+
+def batches(t: Tree, batch: int) -> list[tuple[int, int, int, int]]:
+    """Traces [begin, end) at a time, of leaves [first, last)."""
+    if t.subtree is None:
+        return [(b, min(b + batch, len(t.order)), 0, 0) for b in range(0, len(t.order), batch)]
+    levels = t.subtree.levels
+    span = levels[0].span
+    found, leaf = [], 0
+    while leaf < len(span) - 1:
+        last = max(leaf + 1, int(np.searchsorted(span, span[leaf] + batch, side="right")) - 1)
+        if len(levels) > 1:  # whole parents, if one fits: what is merged in parts is read and written again
+            whole = int(levels[1].span[np.searchsorted(levels[1].span, last, side="right") - 1])
+            last = whole if whole > leaf else last
+        found.append((int(span[leaf]), int(span[last]), leaf, last))
+        leaf = last
+    return found

@@ -23,7 +23,6 @@ from pysas.planning.scene import Scene
 LEAST = 1024  # places a lattice may have however small the image is
 PLACES = 100  # pixels a place: what a place costs is about 2/3 of theirs then, seldom needed
 BYTES = 2**28  # of weights at a time
-ARC_NS = {"numba": 60.0}  # of a pixel's view where each has its own; of engines that are not listed 40
 NODES = 5  # of polynomials along lines, evenly spaced
 ALONG, BETWEEN = np.linspace(-1, 1, NODES), 0.8
 CHECKED = 32  # pixels that the error is measured at

@@ -1,0 +1,225 @@
+// Sums without trees: of lines, of lists of points, and of points with weights of their own.
+
+#include "core/execution.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "core/arcs.hpp"
+#include "core/errors.hpp"
+#include "core/reader.hpp"
+#include "core/summation.hpp"
+
+namespace pysas {
+
+namespace {
+
+constexpr double most = 1 - 0x1p-20;
+
+}  // namespace
+
+bool Progress::tell(double share) {
+    // all is done once the caller has its image: that is for him to tell
+    reached_ = std::min(std::max(reached_, share), most);
+    return tick_(reached_);
+}
+
+void Progress::reach(double share) {
+    if (tick_ && !tell(share)) throw Error(Code::cancelled, "stopped by the caller");
+}
+
+namespace {
+
+constexpr std::int64_t slab = 1 << 16;                     // points at a time
+constexpr std::int64_t own_bytes = std::int64_t{1} << 28;  // of pixels' own weights at a time
+
+// A part of all work: `more` of it after what is `done`.
+struct Share {
+    double done, more;
+    Share part(std::int64_t begin, std::int64_t count, std::int64_t all) const {
+        const auto whole = static_cast<double>(all);
+        return {done + more * static_cast<double>(begin) / whole, more * static_cast<double>(count) / whole};
+    }
+};
+
+template <typename Real, typename Sample, typename Pixel>
+class Direct {
+  public:
+    Direct(Execution& run, const View<const Sample, 3>& data, const View<Pixel, 2>& image)
+        : run_(run),
+          data_(data),
+          image_(image),
+          order_(used_of(run)),
+          tables_(run.recipe, data.shape[2], std::min(run.recipe.batch, static_cast<std::int64_t>(order_.size()))) {}
+
+    void sum() {
+        if (run_.recipe.views)
+            add_each();
+        else if (run_.recipe.image.straight())
+            in_batches({0, 1}, [&](std::int64_t, Share share) { add_lines(share); });
+        else
+            in_batches({0, 1}, [&](std::int64_t, Share share) { add_points(share); });
+    }
+
+  private:
+    static Numbers used_of(const Execution& run) {
+        Numbers order;
+        for (std::size_t i = 0; i < run.recipe.traces.size(); ++i) {
+            if (run.used[i]) order.push_back(static_cast<std::int64_t>(i));
+        }
+        return order;
+    }
+
+    // `add` the traces in batches, in their order: the number of a batch's first, and its share of the work.
+    template <typename Add>
+    void in_batches(Share all, const Add& add) {
+        const auto whole = static_cast<std::int64_t>(order_.size());
+        for (std::int64_t begin = 0; begin < whole; begin += run_.recipe.batch) {
+            const std::int64_t count = std::min(run_.recipe.batch, whole - begin);
+            const Share share = all.part(begin, count, whole);
+            Stopwatch watch;
+            tables_.fill(run_, data_, order_.data() + begin, count);
+            run_.totals.prepare_seconds += watch.lap();
+            add(begin, share);
+            run_.totals.sum_seconds += watch.lap();
+            run_.progress.reach(share.done + share.more);
+        }
+    }
+
+    void add_to(const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image, Share share) {
+        const Tick tick = run_.progress.part(share.done, share.more);
+        run_.totals.terms += add(run_.kernels, terms, raster, image, run_.threads, tick);
+    }
+
+    void add_lines(Share share) {
+        const Image& lines = run_.recipe.image;
+        const std::uint8_t* mask = lines.mask.empty() ? nullptr : lines.mask.data();
+        const Raster raster{lines.first.data(), lines.step.data(), nullptr,    mask,
+                            lines.height,       lines.width,       lines.count};
+        add_to(tables_.terms(), raster, image_, share);
+    }
+
+    void add_points(Share share) {
+        const Image& points = run_.recipe.image;
+        const std::int64_t all = points.height * points.width;
+        for (std::int64_t begin = 0; begin < all; begin += slab) {
+            const std::int64_t count = std::min(slab, all - begin);
+            const double* at = look_up(begin, begin + count);
+            const std::uint8_t* mask = points.mask.empty() ? nullptr : points.mask.data() + begin;
+            const Raster raster{nullptr, nullptr, at, mask, 1, count, points.count};
+            View<Pixel, 2> part = image_;
+            part.data += begin * part.stride[1];
+            part.shape[1] = count;
+            const Share own = share.part(begin, count, all);
+            add_to(tables_.terms(), raster, part, own);
+            run_.progress.reach(own.done + own.more);
+        }
+    }
+
+    const double* look_up(std::int64_t begin, std::int64_t end) {
+        places_.resize(static_cast<std::size_t>(3 * (end - begin)));
+        run_.recipe.image.points(begin, end, places_.data());
+        return places_.data();
+    }
+
+    // Pixels with weights of their own, as many at a time as these have room for.
+    void add_each() {
+        const Image& points = run_.recipe.image;
+        const std::int64_t all = points.height * points.width;
+        const auto traces = static_cast<std::int64_t>(order_.size()), item = static_cast<std::int64_t>(sizeof(Real));
+        const std::int64_t most =
+            std::min(slab, std::max<std::int64_t>(1, own_bytes / (item * traces * block)) * block);
+        const std::int64_t wanted =
+            points.mask.empty() ? all : all - std::count(points.mask.begin(), points.mask.end(), std::uint8_t{0});
+        Numbers pixels;
+        for (std::int64_t next = 0, done = 0; done < wanted; done += static_cast<std::int64_t>(pixels.size())) {
+            pixels.clear();
+            for (; next < all && static_cast<std::int64_t>(pixels.size()) < most; ++next) {
+                if (points.mask.empty() || points.mask[static_cast<std::size_t>(next)]) pixels.push_back(next);
+            }
+            add_weighed(pixels, Share{0, 1}.part(done, static_cast<std::int64_t>(pixels.size()), wanted));
+        }
+    }
+
+    void add_weighed(const Numbers& pixels, Share share) {
+        Stopwatch watch;
+        const Recipe& recipe = run_.recipe;
+        const auto count = static_cast<std::int64_t>(pixels.size()), traces = static_cast<std::int64_t>(order_.size());
+        const auto across = static_cast<int>(std::min<std::int64_t>(block, count));
+        const std::vector<double> places = places_of(pixels);
+        // rows of whole blocks
+        std::vector<Real> own(static_cast<std::size_t>((count + across - 1) / across * across * traces));
+        const Viewers viewers{recipe.traces.data(), static_cast<std::int64_t>(recipe.traces.size()),
+                              static_cast<int>(recipe.views->channels), recipe.model.cos_beam};
+        arcs(viewers, places.data(), count, order_.data(), traces, own.data(), nullptr, run_.threads,
+             run_.progress.poll());
+        run_.totals.sum_seconds += watch.lap();
+        std::vector<Pixel> sums(pixels.size());
+        const Raster raster{nullptr, nullptr, places.data(), nullptr, 1, count, across};
+        in_batches(share, [&](std::int64_t begin, Share part) {
+            Terms<Real> terms = tables_.terms();
+            std::vector<Real> some(own.size() / order_.size() * static_cast<std::size_t>(terms.n_trace));
+            for (std::size_t row = 0; row < own.size() / order_.size(); ++row)
+                std::copy_n(own.data() + static_cast<std::int64_t>(row) * traces + begin, terms.n_trace,
+                            some.data() + static_cast<std::int64_t>(row) * terms.n_trace);
+            terms.weights = some.data();
+            add_to(terms, raster, View<Pixel, 2>{sums.data(), {1, count}, {count, 1}}, part);
+        });
+        for (std::size_t i = 0; i < pixels.size(); ++i) image_(0, pixels[i]) += sums[i];
+    }
+
+    // Coordinates of pixels by their rising numbers.
+    std::vector<double> places_of(const Numbers& pixels) {
+        std::vector<double> out;
+        for (std::size_t i = 0; i < pixels.size();) {
+            const std::int64_t begin = pixels[i];
+            const auto last = std::lower_bound(pixels.begin(), pixels.end(), begin + slab);
+            const double* at = look_up(begin, last[-1] + 1);
+            for (; pixels.begin() + static_cast<std::ptrdiff_t>(i) < last; ++i) {
+                const double* own = at + 3 * (pixels[i] - begin);
+                out.insert(out.end(), own, own + 3);
+            }
+        }
+        return out;
+    }
+
+    Execution& run_;
+    const View<const Sample, 3>& data_;
+    const View<Pixel, 2>& image_;
+    const Numbers order_;
+    Tables<Real> tables_;
+    std::vector<double> places_;
+};
+
+}  // namespace
+
+template <typename Sample, typename Pixel>
+Totals run(const Recipe& recipe, const View<const Sample, 3>& data, const std::uint8_t* used, double scale,
+           const View<Pixel, 2>& image, int threads, const Kernels& kernels, const Tick& tick) {
+    Execution run{recipe, used, scale, threads, kernels, Progress(tick)};
+    const auto count = static_cast<std::ptrdiff_t>(recipe.traces.size());
+    if (std::all_of(used, used + count, [](std::uint8_t u) { return u == 0; })) return run.totals;
+    if (recipe.narrow && recipe.forest) {
+        sum_forest(run, data, image);
+    } else if (recipe.narrow) {
+        Direct<float, Sample, Pixel>(run, data, image).sum();
+    } else if constexpr (sizeof(Sample) == 16) {
+        if (recipe.forest) throw std::logic_error("trees are summed in float");
+        Direct<double, Sample, Pixel>(run, data, image).sum();
+    } else {
+        throw std::logic_error("samples in float are not summed in double");
+    }
+    return run.totals;
+}
+
+using Single = std::complex<float>;
+using Double = std::complex<double>;
+
+template Totals run(const Recipe&, const View<const Single, 3>&, const std::uint8_t*, double, const View<Single, 2>&,
+                    int, const Kernels&, const Tick&);
+template Totals run(const Recipe&, const View<const Single, 3>&, const std::uint8_t*, double, const View<Double, 2>&,
+                    int, const Kernels&, const Tick&);
+template Totals run(const Recipe&, const View<const Double, 3>&, const std::uint8_t*, double, const View<Double, 2>&,
+                    int, const Kernels&, const Tick&);
+
+}  // namespace pysas

@@ -1,0 +1,203 @@
+#include "planning/callers.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "core/border.hpp"
+#include "core/dispatch.hpp"
+#include "core/errors.hpp"
+#include "core/polynomials.hpp"
+
+namespace pysas {
+namespace {
+
+constexpr std::int64_t most = std::int64_t{1} << 40;  // of any one size, and of their products
+
+[[noreturn]] void refuse(const std::string& text) { throw Error(Code::argument, text); }
+
+void finite(const double* values, std::int64_t count, const char* name) {
+    for (std::int64_t i = 0; values && i < count; ++i) {
+        if (!(std::abs(values[i]) <= 1e15)) refuse(std::string(name) + ": not finite, or beyond 1e15");
+    }
+}
+
+void size(std::int64_t a, std::int64_t b, std::int64_t c, const char* name) {
+    if (a < 1 || b < 1 || c < 1 || a > most || b > most / a || c > most / (a * b)) refuse(std::string(name) + ": size");
+}
+
+double distance(const double* a, const double* b) {
+    return std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+}
+
+// Whether a box lies in every beam that counts: its corners do, and beams up to a right angle off boresight are convex.
+bool all_lit(const Survey& survey, const double low[3], const double high[3]) {
+    const double cosine = std::max(survey.model.cos_beam, 0.0) + 1e-9;
+    for (std::size_t i = 0; i < survey.traces.size(); ++i) {
+        if (survey.weights[i] == 0.0) continue;
+        const Trace& trace = survey.traces[i];
+        for (int corner = 0; corner < 8; ++corner) {
+            double along = 0, square = 0;
+            for (int axis = 0; axis < 3; ++axis) {
+                const double away = (corner >> axis & 1 ? high : low)[axis] - trace.tx[axis];
+                along += away * trace.boresight[axis];
+                square += away * away;
+            }
+            if (!(along >= cosine * std::sqrt(square))) return false;
+        }
+    }
+    return true;
+}
+
+void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) {
+    size(survey.n_ping, survey.n_channel, survey.n_sample, "survey");
+    size(grid.height, grid.width, 3, "grid");
+    if (!survey.tx || !survey.rx) refuse("survey: tx and rx are needed");
+    const std::int64_t traces = survey.n_ping * survey.n_channel;
+    finite(survey.tx, 3 * survey.n_ping, "tx");
+    finite(survey.rx, 3 * traces, "rx");
+    finite(survey.velocity, 3 * traces, "velocity");
+    finite(survey.weights, traces, "weights");
+    finite(survey.ping_t0, survey.n_ping, "ping_t0");
+    finite(survey.boresight, 3 * survey.n_ping, "boresight");
+    finite(&survey.t0, 1, "t0");
+    for (const double value : {survey.fs, survey.fc, survey.c}) {
+        if (!(value > 1e-9 && value <= 1e15)) refuse("survey: fs, fc and c must be positive and finite");
+    }
+    if (!(survey.bandwidth >= 0 && survey.bandwidth <= survey.fs / 1.1 * (1 + 1e-9)))
+        refuse("bandwidth: above fs / 1.1");
+    if (survey.boresight && !(survey.beam_half_angle > 0 && survey.beam_half_angle <= pi * (1 + 1e-9)))
+        refuse("beam_half_angle: not in (0, pi]");
+    for (std::int64_t i = 0; survey.velocity && i < traces; ++i) {
+        const double zero[3] = {0, 0, 0};
+        if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * survey.c))
+            refuse("velocity: above half the speed of sound");
+    }
+    for (const double* vector : {grid.first, grid.along, grid.down}) finite(vector, 3, "grid");
+    finite(grid.points, 3 * grid.height * grid.width, "points");
+    if (options.dtype != PYSAS_COMPLEX64 && options.dtype != PYSAS_COMPLEX128) refuse("dtype");
+    if (options.method != PYSAS_BACKPROJECTION && options.method != PYSAS_FFBP && options.method != PYSAS_AUTO)
+        refuse("method");
+    if (options.threads < 0 || options.threads > 4096) refuse("threads");
+    const double least = options.dtype == PYSAS_COMPLEX64 ? 1e-5 : 1e-10;
+    if (!(options.tol >= least * (1 - 1e-9) && options.tol <= 0.1)) throw Error(Code::tolerance, "tol: out of reach");
+}
+
+// Corners of a box about a grid.
+struct Box {
+    double low[3], high[3];
+};
+
+Box box_of(const pysas_grid& grid) {
+    Box box{};
+    for (int axis = 0; axis < 3; ++axis) {
+        if (grid.points) {
+            box.low[axis] = box.high[axis] = grid.points[axis];
+            for (std::int64_t i = 0; i < grid.height * grid.width; ++i) {
+                box.low[axis] = std::min(box.low[axis], grid.points[3 * i + axis]);
+                box.high[axis] = std::max(box.high[axis], grid.points[3 * i + axis]);
+            }
+        } else {
+            const double along = grid.along[axis] * static_cast<double>(grid.width - 1);
+            const double down = grid.down[axis] * static_cast<double>(grid.height - 1);
+            box.low[axis] = grid.first[axis] + std::min(along, 0.0) + std::min(down, 0.0);
+            box.high[axis] = grid.first[axis] + std::max(along, 0.0) + std::max(down, 0.0);
+        }
+    }
+    return box;
+}
+
+Pixels pixels_of(const pysas_grid& grid, const double origin[3]) {
+    Pixels out;
+    out.height = grid.height;
+    out.width = grid.width;
+    if (grid.mask) out.mask.assign(grid.mask, grid.mask + grid.height * grid.width);
+    if (grid.points) {
+        // rows of points may happen to lie on lines; a single row is a list
+        if (grid.height > 1) find_lines(grid.points, out);
+        for (std::size_t i = 0; i < out.first.size(); ++i) out.first[i] -= origin[i % 3];
+        const auto list =
+            std::make_shared<const std::vector<double>>(grid.points, grid.points + 3 * grid.height * grid.width);
+        out.points = points_in_list(list->data(), point(origin), list);
+        return out;
+    }
+    for (std::int64_t i = 0; i < grid.height; ++i) {
+        for (int axis = 0; axis < 3; ++axis) {
+            out.first.push_back(grid.first[axis] - origin[axis] + static_cast<double>(i) * grid.down[axis]);
+            out.step.push_back(grid.along[axis]);
+        }
+    }
+    out.points = [first = out.first, step = out.step, width = out.width](const Numbers& numbers, double* to) {
+        for (const std::int64_t i : numbers) {
+            for (std::int64_t axis = 0; axis < 3; ++axis) {
+                const auto at = static_cast<std::size_t>(3 * (i / width) + axis);
+                *to++ = first[at] + static_cast<double>(i % width) * step[at];
+            }
+        }
+    };
+    return out;
+}
+
+Survey survey_of(const pysas_survey& given, const double origin[3], bool single) {
+    Survey out;
+    const double bandwidth = given.bandwidth > 0 ? given.bandwidth : given.fs / 1.1;
+    out.band = bandwidth / 2 / given.fs;
+    out.single = single;
+    out.channels = given.n_channel;
+    out.model.c = given.c;
+    out.model.fc = given.fc;
+    out.model.fs = given.fs;
+    out.model.last = static_cast<double>(given.n_sample - 1);
+    const double widest = given.beam_half_angle + edge_angle;
+    out.model.cos_beam = given.boresight && widest < pi ? std::cos(widest) : -1.0;
+    for (std::int64_t i = 0; i < given.n_ping * given.n_channel; ++i) {
+        const std::int64_t ping = i / given.n_channel;
+        Trace trace{};
+        for (int axis = 0; axis < 3; ++axis) {
+            trace.tx[axis] = given.tx[3 * ping + axis] - origin[axis];
+            trace.rx[axis] = given.rx[3 * i + axis] - origin[axis];
+            if (given.velocity) trace.velocity[axis] = given.velocity[3 * i + axis];
+            if (given.boresight) trace.boresight[axis] = given.boresight[3 * ping + axis];
+        }
+        if (given.boresight && !(given.weights && given.weights[i] == 0)) normalise(trace.boresight);
+        trace.t0 = given.ping_t0 ? given.ping_t0[ping] : given.t0;
+        out.traces.push_back(trace);
+        out.weights.emplace_back(given.weights ? given.weights[i] : 1.0);
+    }
+    return out;
+}
+
+}  // namespace
+
+std::shared_ptr<const Scene> scene_of(const pysas_survey& survey, const pysas_grid& grid,
+                                      const pysas_options& options) {
+    check(survey, grid, options);
+    Box box = box_of(grid);
+    double origin[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        origin[axis] = (box.low[axis] + box.high[axis]) / 2;
+        box.low[axis] -= origin[axis];
+        box.high[axis] -= origin[axis];
+    }
+    Survey own = survey_of(survey, origin, options.dtype == PYSAS_COMPLEX64);
+    if (own.model.cos_beam > -1 && all_lit(own, box.low, box.high)) own.model.cos_beam = -1;
+    return std::make_shared<const Scene>(std::move(own), pixels_of(grid, origin), point(box.low), point(box.high));
+}
+
+Wish wish_of(const pysas_options& options) {
+    const char* wanted = options.isa ? options.isa : std::getenv("PYSAS_ISA");
+    const Kernels& kernels = kernels_for(wanted ? wanted : "auto");
+    const unsigned all = std::thread::hardware_concurrency();
+    const int threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(all));
+    const Method method = options.method == PYSAS_FFBP   ? Method::ffbp
+                          : options.method == PYSAS_AUTO ? Method::automatic
+                                                         : Method::backprojection;
+    return {options.tol, options.tol, method, true, true, true, threads, kernels.name};
+}
+
+}  // namespace pysas

@@ -1,0 +1,219 @@
+#include "planning/fates.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "core/polynomials.hpp"
+
+namespace pysas {
+namespace {
+
+constexpr int most_planes = 6;
+constexpr double wide = 0.3;      // a tile's radius seen from a group at most, rad
+constexpr double ahead = 0.25;    // sine of the angle to a group's axis within which pixels are ahead of it
+constexpr double flattest = 0.7;  // of a unit axis along the ground, at least
+constexpr std::int64_t few = 32;  // traces that mostly tell
+
+double ground_between(const Point& a, const Point& b) {
+    const double x = a.x - b.x, y = a.y - b.y;
+    return std::sqrt(x * x + y * y);
+}
+
+// The least distance of a tile's corners from a group's axis if it lies beside the group and not ahead, so that the
+// plane has all its ranges; else 0.
+double beside(const Onto& onto, const Group& group, const Point* corners, int count) {
+    double least = HUGE_VAL;
+    for (int k = 0; k < count; ++k) {
+        const auto found = onto(corners[k]);
+        if (!found || !(found->beside > ahead * ground_between(corners[k], group.centre))) return 0;
+        least = std::min(least, found->beside);
+    }
+    return least;
+}
+
+// What is known of a group's records before any trace is looked at, and its traces.
+class Records {
+  public:
+    Records(const Scene& scene, const Numbers& traces) : model_(scene.survey.model) {
+        Point low[2], high[2];
+        for (const std::int64_t i : traces) {
+            const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
+            const One one{{point(trace.tx), point(trace.rx)}, length(point(trace.velocity)), trace.t0};
+            for (int k = 0; k < 2; ++k) {
+                const Point& p = one.sensor[k];
+                const bool fresh = all_.empty();
+                low[k] = fresh ? p : Point{std::min(low[k].x, p.x), std::min(low[k].y, p.y), std::min(low[k].z, p.z)};
+                high[k] =
+                    fresh ? p : Point{std::max(high[k].x, p.x), std::max(high[k].y, p.y), std::max(high[k].z, p.z)};
+            }
+            soonest_ = std::min(soonest_, one.t0);
+            latest_ = std::max(latest_, one.t0);
+            fastest_ = std::max(fastest_, one.speed);
+            all_.push_back(one);
+        }
+        for (int k = 0; k < 2; ++k) {
+            middle_[k] = 0.5 * (low[k] + high[k]);
+            about_ += length(high[k] - low[k]) / 2;
+        }
+        for (const std::int64_t i : some_of(static_cast<std::int64_t>(all_.size()), few))
+            some_.push_back(all_[static_cast<std::size_t>(i)]);
+    }
+
+    struct State {
+        bool inside, heard;
+    };
+    // Whether a ball about pixels lies, with paths `more` m longer and shorter around it, inside the records of all
+    // traces, if that is asked; and itself inside any. By boxes about all sensors; where these do not tell some traces
+    // mostly do, and all traces tell the rest.
+    State operator()(const Point& middle, double radius, double more, bool asked) const {
+        const double path = length(middle - middle_[0]) + length(middle - middle_[1]);
+        const double spread = 2 * radius + more;
+        const double earliest = ((path - spread - about_) / (model_.c + fastest_) - latest_) * model_.fs;
+        const double latest = ((path + spread + about_) / (model_.c - fastest_) - soonest_) * model_.fs;
+        if (earliest >= 0 && latest <= model_.last) return {true, true};
+        if (!(latest >= -edge_samples && earliest <= model_.last + edge_samples)) return {false, false};
+        State state{asked, false};
+        for (const auto* traces : {&some_, &all_}) {
+            for (const One& one : *traces) {
+                if (state.heard && !state.inside) return state;
+                const double way = length(middle - one.sensor[0]) + length(middle - one.sensor[1]);
+                const double low = ((way - spread) / (model_.c + one.speed) - one.t0) * model_.fs;
+                const double high = ((way + spread) / (model_.c - one.speed) - one.t0) * model_.fs;
+                state.inside = state.inside && low >= 0 && high <= model_.last;
+                state.heard = state.heard || (high >= -edge_samples && low <= model_.last + edge_samples);
+            }
+        }
+        return {state.inside && state.heard, state.heard};
+    }
+
+  private:
+    struct One {
+        Point sensor[2];
+        double speed, t0;
+    };
+    Model model_;
+    std::vector<One> all_, some_;
+    Point middle_[2];
+    double about_ = 0, soonest_ = HUGE_VAL, latest_ = -HUGE_VAL, fastest_ = 0;
+};
+
+// What a group's transmitters and receivers together lie beside its axis for pixels `closest` m beside it, at most.
+double off_axis(const Scene& scene, const Group& group, double closest) {
+    double most = 0;
+    for (const std::int64_t i : group.traces) {
+        const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
+        const Point tx = point(trace.tx), rx = point(trace.rx);
+        const auto across = [&](const Point& p) {
+            const Point away = p - group.centre;
+            return away - dot(away, group.axis) * group.axis;
+        };
+        const Point out = across(tx), back = across(rx);
+        const double squares = dot(out, out) + dot(back, back), inner = std::min(length(out), length(back));
+        most = std::max(most, length(out + back) + (squares + inner * length(tx - rx)) / closest);
+    }
+    return most;
+}
+
+}  // namespace
+
+Onto::Onto(const Group& group, double plane)
+    : centre_(group.centre), axis_(group.axis), plane_(plane), across_(std::hypot(group.axis.x, group.axis.y)) {}
+
+std::optional<Onto::Found> Onto::operator()(const Point& p) const {
+    if (across_ < flattest) return {};
+    const Point away = p - centre_;
+    const double x = axis_.x / across_, y = axis_.y / across_, height = centre_.z - plane_;
+    const double along = (dot(away, axis_) + height * axis_.z) / across_;
+    const double square = dot(away, away) - height * height - along * along;
+    if (!(square > 0)) return {};
+    const double side = away.y * x - away.x * y, off = std::copysign(std::sqrt(square), side);
+    return Found{{centre_.x + along * x - off * y, centre_.y + along * y + off * x, plane_},
+                 std::min(std::abs(off), std::abs(side))};
+}
+
+// At one range and one place along its axis a group's phases turn with the angle about that axis by what its
+// transmitters and receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev
+// nodes lacks a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2
+// cos^2/(2 r) for each sensor q beside the axis, and as q/r of a transmitter and a receiver that are not equally far.
+std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error) {
+    const Survey& survey = scene.survey;
+    const double highest = 2 * pi * (survey.model.fc + survey.band * survey.model.fs) / survey.model.c;
+    const auto each = static_cast<std::size_t>(tiled.each);
+    double low = HUGE_VAL, high = -HUGE_VAL, most = 0;
+    for (std::size_t i = 0; i < tiled.corners.size(); ++i) {
+        if (tiled.pixels[i / each] == 0) continue;
+        low = std::min(low, tiled.corners[i].z);
+        high = std::max(high, tiled.corners[i].z);
+    }
+    for (const Group& group : groups) {
+        const Onto onto(group, tiled.plane);
+        double closest = HUGE_VAL;
+        for (std::size_t i = 0; i < tiled.corners.size(); i += each) {
+            if (const double found = beside(onto, group, &tiled.corners[i], tiled.each); found > 0)
+                closest = std::min(closest, found);
+        }
+        if (closest < HUGE_VAL)
+            most = std::max(most, highest * off_axis(scene, group, closest) * (high - low) / 2 / closest);
+    }
+    double lacking = 2;
+    for (int count = 1; count <= most_planes; ++count) {
+        lacking *= most / count / 2;
+        if (!(lacking <= error)) continue;
+        std::vector<double> heights;
+        for (int k = count - 1; k >= 0; --k)
+            heights.push_back((low + high) / 2 + (high - low) / 2 * std::cos(pi * (2 * k + 1) / (2 * count)));
+        return heights;
+    }
+    return {};
+}
+
+// None is read across a beam's edge, where the sum has a step.
+Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
+               const std::vector<double>& planes, const Layout& layout, double step, double near) {
+    const Model& model = scene.survey.model;
+    const auto each = static_cast<std::size_t>(tiled.each);
+    double lowest = HUGE_VAL, highest = 0;
+    for (const std::int64_t tile : tiles) {
+        for (std::size_t k = 0; k < each; ++k) {
+            const double height = std::abs(group.centre.z - tiled.corners[each * static_cast<std::size_t>(tile) + k].z);
+            lowest = std::min(lowest, height);
+            highest = std::max(highest, height);
+        }
+    }
+    // nodes that a read depends on lie this much further out or in, and to the sides
+    const double taps = layout.taps.reach();
+    const double reach = static_cast<double>(layout.fans.size() + 1) * (taps + 4) * step;
+    const double apart = near_lengths * group.extent;  // of the group's centre from what is read
+    const double least = std::max(std::hypot(apart, highest), layout.clear);
+    const double more = std::max(2 * reach, layout.ends * model.c / model.fs + 2 * taps * step);
+    const Records records(scene, group.traces);
+    std::vector<Onto> stack;
+    if (!tiled.flat) {
+        for (const double plane : planes) stack.emplace_back(group, plane);
+    }
+    const auto on_planes = [&](const Point* corners) {
+        return std::all_of(stack.begin(), stack.end(), [&](const Onto& onto) {
+            if (!(beside(onto, group, corners, tiled.each) > 0)) return false;
+            return std::all_of(corners, corners + each, [&](const Point& corner) {
+                return ground_between(onto(corner)->place, group.centre) >= apart;
+            });
+        });
+    };
+    Fates out{std::vector<std::uint8_t>(tiled.pixels.size()), std::vector<std::uint8_t>(tiled.pixels.size())};
+    for (const std::int64_t number : tiles) {
+        const auto tile = static_cast<std::size_t>(number);
+        const Point& middle = tiled.middle[tile];
+        const double radius = tiled.radius[tile], ground = ground_between(middle, group.centre);
+        const double away = std::hypot(std::max(ground - radius, 0.0), lowest);
+        bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
+        read =
+            read && group.distance(middle) - radius - reach >= layout.apart && on_planes(&tiled.corners[each * tile]);
+        const auto [inside, heard] = records(middle, radius, more, read);
+        out.read[tile] = read && inside;
+        out.direct[tile] = heard && !out.read[tile];
+    }
+    return out;
+}
+
+}  // namespace pysas

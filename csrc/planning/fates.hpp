@@ -1,0 +1,44 @@
+// Which tiles of an image are read from the sub-image of a group of traces, and which are summed directly.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "planning/layouts.hpp"
+#include "planning/subapertures.hpp"
+#include "planning/tiles.hpp"
+
+namespace pysas {
+
+// Of tiles by number: silent or not wanted where neither.
+struct Fates {
+    std::vector<std::uint8_t> read, direct;
+};
+
+// Where a plane has points' slant range and place along a group's axis. A group on a line sees the two alike.
+class Onto {
+  public:
+    struct Found {
+        Point place;
+        double beside;  // the axis, at least
+    };
+
+    Onto(const Group& group, double plane);
+    // nothing where the plane has no such place
+    std::optional<Found> operator()(const Point& p) const;
+
+  private:
+    Point centre_, axis_;
+    double plane_, across_;
+};
+
+// Heights of the planes that pixels are read from by polynomials of height; none where too many were needed. `error`:
+// what reading pixels off their planes may cost.
+std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error);
+
+// Of `tiles`, all of them with pixels wanted, read from `planes` by nodes `step` apart, from slant range `near` on.
+Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
+               const std::vector<double>& planes, const Layout& layout, double step, double near);
+
+}  // namespace pysas

@@ -1,0 +1,32 @@
+// An image cut into tiles, by the plane its lines lie on, with boxes about them.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "planning/scene.hpp"
+
+namespace pysas {
+
+// Lines [begin, end) of an image in tiles of tile_rows lines and `block` pixels, row by row of tiles.
+struct Tiled {
+    std::int64_t begin, end;
+    double plane;                // the middle of all heights, m
+    bool flat;                   // all corners lie on the plane
+    int each;                    // corners of a tile: 4, or 8 of an upright box, the lower ones first
+    std::vector<Point> corners;  // (tile, each)
+    std::vector<Point> middle;   // of a sphere about each tile ...
+    std::vector<double> radius;  // ... and its radius
+    Numbers pixels;              // wanted, of each tile
+
+    bool any() const;  // pixels wanted
+};
+
+// By the planes that lines lie on, or all of them where they lie on none. `block` 0: of points, in tiles of the longest
+// block.
+std::vector<Tiled> tiles_of(const Scene& scene, int block);
+
+// Of `count` things at most `most`, evenly spaced, the first and the last among them.
+Numbers some_of(std::int64_t count, std::int64_t most);
+
+}  // namespace pysas

@@ -1,0 +1,217 @@
+// Part of test_core: transforms against sums written out, and recipes whose answers must agree.
+
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <stdexcept>
+#include <vector>
+
+#include "core/dispatch.hpp"
+#include "core/errors.hpp"
+#include "core/polynomials.hpp"
+#include "core/recipe.hpp"
+#include "core/summation.hpp"
+#include "core/transforms.hpp"
+#include "tests/check.hpp"
+
+namespace {
+
+using namespace pysas;
+using Single = std::complex<float>;
+
+template <typename Real>
+void sums_of(std::int64_t n, double error) {
+    constexpr std::int64_t lanes = 2 * transform_lanes<Real>;
+    const Transform<Real> transform(n);
+    for (const auto& set : levels()) {
+        std::vector<Real> room(static_cast<std::size_t>(4 * n * lanes));
+        Real* const at = room.data();
+        for (std::int64_t i = 0; i < 2 * n * lanes; ++i)
+            at[i] = static_cast<Real>(std::sin(0.7 * double(i * i % 1009)));
+        const std::vector<Real> in(room);
+        const auto out =
+            transform(kernels_for(set), {at, at + n * lanes}, {at + 2 * n * lanes, at + 3 * n * lanes}, lanes);
+        double wrong = 0, all = 0;
+        for (std::int64_t lane = 0; lane < lanes; lane += 3) {
+            for (std::int64_t k = 0; k < n; ++k) {
+                std::complex<double> sum = 0;
+                for (std::int64_t m = 0; m < n; ++m) {
+                    const auto place = static_cast<std::size_t>(m * lanes + lane);
+                    sum += std::complex<double>(in[place], in[place + static_cast<std::size_t>(n * lanes)]) *
+                           root_of_unity(-k * m, n);
+                }
+                wrong += std::norm(sum - std::complex<double>(out.re[k * lanes + lane], out.im[k * lanes + lane]));
+                all += std::norm(sum);
+            }
+        }
+        CHECK(wrong <= error * error * all);
+    }
+}
+
+void transforms_are_sums() {
+    for (const std::int64_t n : {1, 2, 3, 4, 5, 8, 30, 125, 144, 360}) {
+        sums_of<float>(n, 3e-7);
+        sums_of<double>(n, 1e-15);
+    }
+    CHECK(fast_length(1) == 1 && fast_length(7) == 8 && fast_length(121) == 125 && fast_length(4097) == 4320);
+    bool caught = false;
+    try {
+        const Transform<float> none(13);
+    } catch (const std::logic_error&) {
+        caught = true;
+    }
+    CHECK(caught);
+}
+
+constexpr std::int64_t pings = 24, samples = 400, height = 5, width = 70;
+
+Recipe recipe() {
+    Recipe out{};
+    out.model = {1500, 30e3, 20e3, 0, double(samples - 1), -1, 0, 0};
+    out.kind = Kind::monostatic;
+    out.narrow = true;
+    out.channels = 1;
+    out.batch = 10;
+    for (std::int64_t i = 0; i < pings; ++i) {
+        Trace trace{};
+        trace.tx[0] = trace.rx[0] = 0.1 * double(i) - 1.2;
+        trace.tx[1] = trace.rx[1] = -8;
+        out.traces.push_back(trace);
+        out.weights.emplace_back(1, 0.1 * double(i));
+    }
+    out.reader.filter = design(0.3, 3, 2, 1, 1e-4, 8, 60);
+    out.reader.length = samples;
+    out.model.rate = 2;
+    fit_trigonometry(5, out.sine, out.cosine);
+    out.nodes.count = Sizes<float>::nodes;
+    for (int j = 0; j < out.nodes.count; ++j) {
+        out.nodes.at[j] = j == 2 ? 0.0 : -std::cos(pi * (2 * j + 1) / 10);
+    }
+    for (std::size_t j = 0; j < 5; ++j) {
+        std::vector<double> at(out.nodes.at, out.nodes.at + 5), column(5);
+        column[j] = 1;
+        monomials(at, column);
+        for (std::size_t q = 0; q < 5; ++q) out.nodes.fit[q][j] = column[q];
+    }
+    out.image.height = height;
+    out.image.width = width;
+    out.image.count = 16;
+    for (std::int64_t i = 0; i < height; ++i) {
+        for (const double x : {-0.7, 0.02 * double(i), 0.0}) out.image.first.push_back(x);
+        for (const double x : {0.02, 0.0, 0.0}) out.image.step.push_back(x);
+    }
+    return out;
+}
+
+std::vector<Single> image_of(const Recipe& recipe, int threads, const Tick& tick = {}, double* terms = nullptr) {
+    std::vector<Single> data(pings * samples), image(height * width);
+    for (std::int64_t i = 0; i < pings * samples; ++i) {
+        const auto n = double(i % samples);
+        data[static_cast<std::size_t>(i)] = std::polar(1.0F, static_cast<float>(0.3 * n + 0.2 * std::sin(0.1 * n)));
+    }
+    std::vector<std::uint8_t> used(pings, 1);
+    used[3] = 0;
+    const bool straight = recipe.image.straight();
+    const View<Single, 2> to{image.data(), {straight ? height : 1, straight ? width : height * width}, {width, 1}};
+    const View<const Single, 3> from{data.data(), {pings, 1, samples}, {samples, samples, 1}};
+    const Totals totals = run(recipe, from, used.data(), 2.0, to, threads, kernels_for("auto"), tick);
+    if (terms) *terms = static_cast<double>(totals.terms);
+    return image;
+}
+
+double apart(const std::vector<Single>& a, const std::vector<Single>& b) {
+    double wrong = 0, all = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+        wrong += std::norm(a[i] - b[i]);
+        all += std::norm(a[i]);
+    }
+    return std::sqrt(wrong / all);
+}
+
+void recipes_agree() {
+    const Recipe lines = recipe();
+    double terms = 0;
+    const auto first = image_of(lines, 1, {}, &terms);
+    CHECK(terms == double((pings - 1) * height * width));
+    CHECK(apart(first, image_of(lines, 3)) == 0);
+    Recipe points = lines;
+    points.image.first.clear();
+    points.image.points = [&](std::int64_t begin, std::int64_t end, double* out) {
+        for (std::int64_t i = begin; i < end; ++i) {
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const auto row = 3 * static_cast<std::size_t>(i / width) + axis;
+                *out++ = lines.image.first[row] + double(i % width) * lines.image.step[row];
+            }
+        }
+    };
+    CHECK(apart(first, image_of(points, 2)) < 1e-4);
+    for (const bool wide : {false, true}) {
+        Recipe lowered = lines;
+        lowered.reader.cut = Reader::Cut{fast_length(samples + 100), {}};
+        lowered.reader.wide = wide;
+        lowered.reader.filter = design(0.25, 3, 2, 1, 1e-4, 8, 8);
+        lowered.model.rate = 4;
+        CHECK(apart(first, image_of(lowered, 2)) < 3e-3);  // the filter's ends ring more than W's
+        CHECK(apart(image_of(lowered, 1), image_of(lowered, 3)) == 0);
+    }
+    Recipe views = points;
+    views.views = ViewWeights{1};
+    CHECK(apart(image_of(views, 1), image_of(views, 3)) == 0);
+}
+
+void runs_stop() {
+    std::vector<double> shares;
+    image_of(recipe(), 2, [&](double share) {
+        shares.push_back(share);
+        return true;
+    });
+    CHECK(shares.size() > 2 && std::is_sorted(shares.begin(), shares.end()) && shares.back() == 1);
+    bool caught = false;
+    try {
+        image_of(recipe(), 2, [](double) { return false; });
+    } catch (const Error& error) {
+        caught = error.code == Code::cancelled;
+    }
+    CHECK(caught);
+}
+
+// A degree, number of terms or of nodes that kernels are not compiled for cannot run as another.
+template <typename Real>
+void only_what_is_compiled_runs() {
+    using Sizes = pysas::Sizes<Real>;
+    const auto refused = [](int degree, int terms, int nodes) {
+        pysas::Terms<Real> some{};
+        some.degree = degree;
+        some.trig = terms;
+        some.nodes.count = nodes;
+        try {
+            pysas::compiled(some);
+        } catch (const std::logic_error&) {
+            return true;
+        }
+        return false;
+    };
+    for (int degree = 0; degree <= pysas::max_degree; ++degree)
+        CHECK(refused(degree, Sizes::terms[0], Sizes::nodes) != pysas::has_degree<Sizes>(degree));
+    CHECK(refused(Sizes::degrees[0], Sizes::terms[0] + 3, Sizes::nodes));
+    CHECK(refused(Sizes::degrees[0], Sizes::terms[0], Sizes::nodes - 2));
+    pysas::Filter filter;
+    filter.degree = 6;
+    bool caught = false;
+    try {
+        pysas::prepare<Real, std::complex<Real>>(pysas::kernels_for("auto"), {}, filter, nullptr, 0, 1, {});
+    } catch (const std::logic_error&) {
+        caught = true;
+    }
+    CHECK(caught);
+}
+
+}  // namespace
+
+void test_recipes() {
+    only_what_is_compiled_runs<float>();
+    only_what_is_compiled_runs<double>();
+    transforms_are_sums();
+    recipes_agree();
+    runs_stop();
+}
