@@ -135,7 +135,8 @@ class Tree:
             core.append(self.objects / "bind" / "c_api.o")
             extension = next((self.folder / "pysas" / "engine").glob("_core*.so"))
             library = next((self.folder / "pysas" / "lib").glob("libpysas.*"))
-            for objects, out in (([*core, self.objects / "bind" / "module.o"], extension), (core, library)):
+            bindings = [self.objects / "bind" / name for name in ("module.o", "plans.o")]
+            for objects, out in (([*core, *bindings], extension), (core, library)):
                 out.unlink()  # a process may have the old one open
                 subprocess.run(["c++", "-shared", "-pthread", *objects, "-o", out], check=True)
 

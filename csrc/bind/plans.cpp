@@ -176,7 +176,7 @@ void tell(py::class_<Class>& bound, const Plan& (*of)(const Class&)) {
     bound.def_property_readonly("choices", [of](const Class& self) { return choices_of(of(self)); })
         .def_property_readonly(
             "share", [of](const Class& self) { return of(self).share(); }, "Of terms, through trees.")
-        .def_property_readonly("trees", [of](const Class& self) { return of(self).grown ? of(self).grown->trees : 0; })
+        .def_property_readonly("trees", [of](const Class& self) { return of(self).trees ? of(self).trees->count : 0; })
         .def_property_readonly("why_direct", [of](const Class& self) { return of(self).why_direct; });
 }
 

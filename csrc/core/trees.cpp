@@ -79,7 +79,7 @@ class Walk {
             tables_->fill(run_, data_, tree.traces.data() + b.begin, b.end - b.begin);
             run_.totals.prepare_seconds += watch.lap();
             const double part = tree.levels.empty() || direct.empty() ? 1 : 0.5;
-            if (!tree.levels.empty()) grow(tree, b, share_of(b, 0, part));
+            if (!tree.levels.empty()) make_leaves(tree, b, share_of(b, 0, part));
             if (!direct.empty()) add_direct(section, direct, b, part);
             run_.totals.sum_seconds += watch.lap();
             run_.progress.reach(static_cast<double>(done_ + b.end) / static_cast<double>(whole_));
@@ -109,7 +109,7 @@ class Walk {
     }
 
     // Leaves of a batch, and what they complete above them.
-    void grow(const GroupTree& tree, const TreeBatch& b, const Tick& tick) {
+    void make_leaves(const GroupTree& tree, const TreeBatch& b, const Tick& tick) {
         const Level& level = tree.levels.front();
         const auto images =
             images_of(level, b.first, b.last, b.first, room_of(stores_[0], level.room(b.first, b.last)));

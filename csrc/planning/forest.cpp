@@ -105,7 +105,7 @@ Seen seen_of(const Layer& layer, const Group& group, const Fates& fates) {
     return out;
 }
 
-struct Grower {
+struct ForestMaker {
     const Scene& scene;
     const Layout& layout;
     std::vector<Point> centres;
@@ -150,10 +150,11 @@ struct Grower {
     // Trees with `rate` nodes per sample, and the highest frequency along their rays; nothing where they have more than
     // about as many nodes as the sum has terms. One spacing for all grids: neighbours along a parent's ray are
     // neighbours on a child's, and intervals of the tables.
-    std::optional<Grown> grow(const Rate& rate, double& along) const {
+    std::optional<PlannedForest> make(const Rate& rate, double& along) const {
         const Model& model = scene.survey.model;
         const double step = model.c * rate.step / (2 * model.fs * rate.phases);
-        Grown out{{layout.taps.taps, step, rate.phases, rate.step, 0, {}}, layout, scene.first, scene.last, 0, 0, 0};
+        PlannedForest out{
+            {layout.taps.taps, step, rate.phases, rate.step, 0, {}}, layout, scene.first, scene.last, 0, 0, 0};
         std::int64_t left = 0;
         for (const Group& group : groups) left += static_cast<std::int64_t>(group.traces.size()) * scene.wanted;
         left = std::max(left, least_nodes);
@@ -169,11 +170,11 @@ struct Grower {
                     continue;
                 const Point& axis = groups[g].axis;
                 GroupTree tree{groups[g].traces, seen.fates.read, seen.fates.direct, {}, {axis.x, axis.y, axis.z}};
-                if (!seen.readings.empty() && !plant(tree, groups[g], layer, seen, step, left, along)) return {};
+                if (!seen.readings.empty() && !make_tree(tree, groups[g], layer, seen, step, left, along)) return {};
                 if (!tree.levels.empty()) widen(tree, step, out);
                 if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, seen.fates);
                 out.longest = std::max(out.longest, groups[g].extent);
-                ++out.trees;
+                ++out.count;
                 section.trees.push_back(std::move(tree));
             }
             if (!section.trees.empty()) out.forest.sections.push_back(std::move(section));
@@ -183,8 +184,8 @@ struct Grower {
     }
 
     // Makes the levels of a tree; false where it would have more nodes than are `left`.
-    bool plant(GroupTree& tree, const Group& group, const Layer& layer, const Seen& seen, double step,
-               std::int64_t& left, double& along) const {
+    bool make_tree(GroupTree& tree, const Group& group, const Layer& layer, const Seen& seen, double step,
+                   std::int64_t& left, double& along) const {
         std::int64_t floats = 2 * left;
         Subtree below = make_subtree(group, geometry_of(scene), centres, layout, layer.plane(), seen.direction,
                                      seen.readings, step, floats);
@@ -203,7 +204,7 @@ struct Grower {
     }
 
     // Samples that a tree's leaves ask of their traces, whatever the image asks.
-    void widen(const GroupTree& tree, double step, Grown& out) const {
+    void widen(const GroupTree& tree, double step, PlannedForest& out) const {
         const Model& model = scene.survey.model;
         const Level& leaves = tree.levels.front();
         for (std::size_t i = 0; i < static_cast<std::size_t>(leaves.count()); ++i) {
@@ -274,24 +275,24 @@ Rate simple_rate(double least) {
     return best;
 }
 
-std::optional<Grown> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
-                                 double relief, double least, bool whole, Poll& poll) {
+std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
+                                         double near, double relief, double least, bool whole, Poll& poll) {
     const Survey& survey = scene.survey;
-    Grower grower{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll};
-    for (Numbers& piece : cut(scene, grower.centres, layout.length))
-        grower.groups.push_back(make_group(std::move(piece), grower.centres));
+    ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll};
+    for (Numbers& piece : cut(scene, maker.centres, layout.length))
+        maker.groups.push_back(make_group(std::move(piece), maker.centres));
     for (const Tiled& tiled : image) {
-        if (!grower.look(tiled, near, relief, whole)) return {};
+        if (!maker.look(tiled, near, relief, whole)) return {};
     }
-    if (!grower.reads()) return {};
+    if (!maker.reads()) return {};
     const Rate given = simple_rate(least);
-    Rate rate = grower.rate_for(2 / survey.model.c * survey.band * survey.model.fs);
+    Rate rate = maker.rate_for(2 / survey.model.c * survey.band * survey.model.fs);
     if (less(rate, given)) rate = given;
     while (rate.phases > 0) {
         double along = 0;
-        auto grown = grower.grow(rate, along);
-        const Rate needed = grower.rate_for(along);
-        if (!grown || (needed.phases > 0 && !less(rate, needed))) return grown;
+        auto planned = maker.make(rate, along);
+        const Rate needed = maker.rate_for(along);
+        if (!planned || (needed.phases > 0 && !less(rate, needed))) return planned;
         // the groups' parts, and nodes beside what is read, ask for more
         rate = needed;
     }
@@ -306,7 +307,9 @@ Work work_of(const Forest& forest) {
             work.traces += traces;
             if (tree.levels.empty()) continue;
             const auto count = [&](std::size_t i) { return static_cast<double>(tree.levels[i].count()); };
-            const auto nodes = [&](std::size_t i) { return static_cast<double>(Grower::nodes_of(tree.levels[i])); };
+            const auto nodes = [&](std::size_t i) {
+                return static_cast<double>(ForestMaker::nodes_of(tree.levels[i]));
+            };
             work.leaf_nodes += nodes(0);
             work.leaf_terms += nodes(0) * static_cast<double>(traces) / count(0);
             for (std::size_t i = 1; i < tree.levels.size(); ++i) work.merged += nodes(i) * count(i - 1) / count(i);
@@ -316,17 +319,18 @@ Work work_of(const Forest& forest) {
     return work;
 }
 
-double forest_seconds(const Scene& scene, const Grown& grown, const Settings& settings, const Costs& costs) {
-    const Work work = work_of(grown.forest);
-    const double width = grown.layout.taps.taps.count;
+double forest_seconds(const Scene& scene, const PlannedForest& planned, const Settings& settings, const Costs& costs) {
+    const Work work = work_of(planned.forest);
+    const double width = planned.layout.taps.taps.count;
     const auto& tree = costs.tree;
-    const bool flat = std::all_of(grown.forest.sections.begin(), grown.forest.sections.end(),
+    const bool flat = std::all_of(planned.forest.sections.begin(), planned.forest.sections.end(),
                                   [](const Section& section) { return section.flat; });
     const double merge = tree.merge[0] + tree.merge[1] * width;
     const double read = (tree.read[0] + tree.read[1] * width) * (flat ? 1.0 : relief_cost);
     const double trees =
         work.leaf_terms * tree.term + work.leaf_nodes * tree.node + work.merged * merge + work.read * read;
-    return trees * 1e-9 + sum_seconds(scene, settings, costs, 1 - grown.share) + prepare_seconds(settings, work.traces);
+    return trees * 1e-9 + sum_seconds(scene, settings, costs, 1 - planned.share) +
+           prepare_seconds(settings, work.traces);
 }
 
 }  // namespace pysas

@@ -32,12 +32,12 @@ struct Work {
     std::int64_t traces = 0;
 };
 
-struct Grown {
+struct PlannedForest {
     Forest forest;
     Layout layout;
     Numbers first, last;  // samples that leaves and pixels ask of each trace
     double share;         // of the terms that go through trees
-    std::int64_t trees;   // groups over sections and planes
+    std::int64_t count;   // of trees: groups over sections and planes
     double longest;       // extent of the longest group, m
 };
 
@@ -51,13 +51,13 @@ Rate simple_rate(double least);
 
 // All trees of an image; nothing where no pixel can be read from one (`whole`: not all), or where trees have more nodes
 // than the sum has terms. `least`: nodes per sample at least; `poll`: asked once a group.
-std::optional<Grown> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
-                                 double relief, double least, bool whole, Poll& poll);
+std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
+                                         double near, double relief, double least, bool whole, Poll& poll);
 
 // Counted, but that leaves of a tree are taken to have as many traces each.
 Work work_of(const Forest& forest);
 
 // Of trees, of the direct sum of what they leave, and of preparation, s on one thread.
-double forest_seconds(const Scene& scene, const Grown& grown, const Settings& settings, const Costs& costs);
+double forest_seconds(const Scene& scene, const PlannedForest& planned, const Settings& settings, const Costs& costs);
 
 }  // namespace pysas

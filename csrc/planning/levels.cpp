@@ -265,10 +265,10 @@ class Look {
 
     // Samples to each side of a term's that the nodes read for it hold.
     std::int64_t tree_reach() const {
-        const Forest& forest = plan_.grown->forest;
-        const auto stages = static_cast<double>(plan_.grown->layout.fans.size() + 1);
+        const Forest& forest = plan_.trees->forest;
+        const auto stages = static_cast<double>(plan_.trees->layout.fans.size() + 1);
         const double rate = static_cast<double>(forest.phases) / forest.per_samples;
-        return static_cast<std::int64_t>(std::ceil(stages * plan_.grown->layout.taps.reach() / rate));
+        return static_cast<std::int64_t>(std::ceil(stages * plan_.trees->layout.taps.reach() / rate));
     }
 
     // Mean square, over the terms, of bright samples within `reach` of them just outside what pixels read, in all
@@ -409,7 +409,7 @@ Verdict hold_against(const Plan& asked, const SomeTerms& terms, const Levels& da
     if (look.blind()) return out;
     const double own = look.own(), budget = asked.wish.budget;
     Plan plan = asked;
-    if (plan.grown) {
+    if (plan.trees) {
         const auto fails = look.trees_fail();
         if (!fails) return out;
         if (*fails) {
@@ -424,7 +424,7 @@ Verdict hold_against(const Plan& asked, const SomeTerms& terms, const Levels& da
     const double ends = own > 0 ? std::sqrt(look.loudest() * look.alike()) / own : 1e12;
     out.ends = std::pow(10.0, std::ceil(std::log10(std::clamp(ends, 1.0, 1e12))));  // few plans do for all data
     plan = widely(plan, out.ends);
-    out.direct = out.direct || (asked.grown && !plan.grown);
+    out.direct = out.direct || (asked.trees && !plan.trees);
     found = look.measured(plan);
     const double limit = found.planned + excess * budget - plan.settings.predicted();
     double level = own;

@@ -48,15 +48,15 @@ std::string kind_of(Kind kind) {
 }
 
 std::string trees_of(const Plan& plan) {
-    const Grown& grown = *plan.grown;
-    const TapDesign& taps = grown.layout.taps;
-    std::string out = "  trees          " + std::to_string(grown.trees) + ", over groups of at most " +
-                      number(grown.longest, 3) + " m, " + std::to_string(taps.taps.count) + " taps at " +
-                      number(taps.rate, 3) + " x the band, nodes every " + number(grown.forest.step, 3) + " m\n";
-    out += "  factorised     " + fixed(100 * grown.share, 1) + " % of the terms, the rest summed directly\n";
+    const PlannedForest& planned = *plan.trees;
+    const TapDesign& taps = planned.layout.taps;
+    std::string out = "  trees          " + std::to_string(planned.count) + ", over groups of at most " +
+                      number(planned.longest, 3) + " m, " + std::to_string(taps.taps.count) + " taps at " +
+                      number(taps.rate, 3) + " x the band, nodes every " + number(planned.forest.step, 3) + " m\n";
+    out += "  factorised     " + fixed(100 * planned.share, 1) + " % of the terms, the rest summed directly\n";
     std::vector<const GroupTree*> trees;
     std::size_t planes = 0;
-    for (const Section& section : grown.forest.sections) {
+    for (const Section& section : planned.forest.sections) {
         planes = std::max(planes, section.heights.size());
         for (const GroupTree& tree : section.trees) {
             if (!tree.levels.empty()) trees.push_back(&tree);
@@ -89,8 +89,8 @@ std::int64_t Plan::start(std::size_t trace) const {
 
 bool Plan::wide() const {
     std::int64_t rounds = (scene->traces() + settings.batch - 1) / settings.batch, most = 0;
-    if (grown) {
-        for (const Section& section : grown->forest.sections)
+    if (trees) {
+        for (const Section& section : trees->forest.sections)
             most = std::max(most, static_cast<std::int64_t>(section.trees.size()));
     }
     return scene->survey.single && rounds + most > settings.run / 8;
@@ -104,7 +104,7 @@ std::int64_t Plan::memory() const {
     // of transforms side by side, at twice the rate, and room for as many
     if (settings.n_fft) work += static_cast<double>(wish.threads * 8 * settings.n_fft * 4 * transform_lanes<float>);
     if (block == 0) work += static_cast<double>(24 * std::min(slab, pixels));
-    if (grown) work += 4 * static_cast<double>(stores_of(grown->forest, settings.batch));
+    if (trees) work += 4 * static_cast<double>(stores_of(trees->forest, settings.batch));
     return pixels * (scene->survey.single ? 8 : 16) + static_cast<std::int64_t>(work);
 }
 
@@ -133,7 +133,7 @@ Recipe Plan::recipe() const {
         points(numbers, to);
     };
     out.image.mask = {pixels.mask.data(), static_cast<std::int64_t>(pixels.mask.size())};
-    out.image.count = static_cast<int>(std::min<std::int64_t>(pysas::block, grown ? pixels.width : pixels.size()));
+    out.image.count = static_cast<int>(std::min<std::int64_t>(pysas::block, trees ? pixels.width : pixels.size()));
     if (block) {
         out.image.first = pixels.first;
         out.image.step = pixels.step;
@@ -142,16 +142,16 @@ Recipe Plan::recipe() const {
     out.batch = settings.batch;
     out.lattice = survey.lattice;
     if (survey.each) out.views = ViewWeights{survey.channels};
-    if (grown) out.forest = &grown->forest;
+    if (trees) out.forest = &trees->forest;
     return out;
 }
 
 std::string Plan::describe(const std::string& shape, std::int64_t more) const {
-    const bool trees = grown.has_value() || wish.method == Method::ffbp;
+    const bool factorised = trees || wish.method == Method::ffbp;
     const Settings& s = settings;
     const auto text = [](std::int64_t value) { return std::to_string(value); };
-    std::string out = std::string("Plan: ") + (trees ? "ffbp" : "backprojection") + " of " + text(scene->traces()) +
-                      " traces on " + shape + " pixels, tol " + number(wish.tol, 6) + "\n";
+    std::string out = std::string("Plan: ") + (factorised ? "ffbp" : "backprojection") + " of " +
+                      text(scene->traces()) + " traces on " + shape + " pixels, tol " + number(wish.tol, 6) + "\n";
     out += "  backend        cpp, " + std::string(s.narrow ? "float32" : "float64") + ", " + text(wish.threads) +
            " threads, batches of " + text(s.batch) + " traces\n";
     out += "  traces         " + text(s.length) + " of " + text(scene->samples()) + " samples" +
@@ -166,7 +166,7 @@ std::string Plan::describe(const std::string& shape, std::int64_t more) const {
            "\n";
     out += "  terms          " + number(static_cast<double>(scene->traces()) * static_cast<double>(scene->wanted), 4) +
            " at most\n";
-    if (grown) out += trees_of(*this);
+    if (trees) out += trees_of(*this);
     if (!why_direct.empty()) out += "  direct sum     " + why_direct + "\n";
     if (scene->survey.each) out += "  view angles    every pixel's own: views change their order over the image\n";
     out += "  predicted      error " + number(predicted_error(), 2) + ", time " + number(seconds / wish.threads, 2) +

@@ -98,9 +98,9 @@ class Planner {
         if (found.value && found.value->seconds + alone * static_cast<double>(found.value->trees) > most - planning)
             return {{}, longer, predicted(*found.value, plain.settings)};
         Found<Plan> made{{}, found.why, {}};
-        if (found.value) made = grow(*found.value, !fallback, (most - planning) / alone, poll);
+        if (found.value) made = make_trees(*found.value, !fallback, (most - planning) / alone, poll);
         if (made.value) {
-            const auto count = static_cast<double>(made.value->grown->trees);
+            const auto count = static_cast<double>(made.value->trees->count);
             const bool pays = made.value->seconds + alone * count <= most;
             made.value->seconds += wish_.threads * tree_seconds * count;
             if (!pays) return {{}, longer, time(made.value->seconds)};
@@ -203,45 +203,46 @@ class Planner {
 
     // About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not
     // all).
-    Found<Plan> grow(const Candidate& best, bool whole, double most, Poll& poll) const {
+    Found<Plan> make_trees(const Candidate& best, bool whole, double most, Poll& poll) const {
         Layout layout = best.layout;
         const auto made = [&](double least) {
             return make_forest(s_, best.image, clear(layout, best), best.near, best.relief, least, whole, poll);
         };
-        auto grown = made(0);
+        auto planned = made(0);
         // shorter groups see more as from a line, and nearer pixels from afar
         const double parts = std::max(longer_groups, static_cast<double>(best.trees) / std::max(most, 1e-9));
-        while (!grown && layout.length > best.layout.length * parts) {
+        while (!planned && layout.length > best.layout.length * parts) {
             layout.length *= 0.7;
-            grown = made(0);
+            planned = made(0);
         }
-        while (grown) {
+        while (planned) {
             auto wider = std::make_shared<Scene>(s_);
-            wider->first = grown->first;
-            wider->last = grown->last;
-            const Forest& forest = grown->forest;
+            wider->first = planned->first;
+            wider->last = planned->last;
+            const Forest& forest = planned->forest;
             if (auto settings = choose_for_leaves(*wider, best.share, costs_, forest.phases, forest.per_samples))
-                return {finish(std::move(wider), std::move(*grown), std::move(*settings), best), {}, {}};
+                return {finish(std::move(wider), std::move(*planned), std::move(*settings), best), {}, {}};
             // near a record's end tables hold all frequencies that samples can: their intervals must be shorter for
             // that
             const double rate = static_cast<double>(forest.phases) / forest.per_samples;
-            grown = rate < finest ? made(2 * rate) : std::nullopt;
+            planned = rate < finest ? made(2 * rate) : std::nullopt;
         }
         return {{}, "no pixel far enough from all groups of pings, or too steep a relief", {}};
     }
 
-    Plan finish(std::shared_ptr<const Scene> scene, Grown grown, Settings settings, const Candidate& best) const {
+    Plan finish(std::shared_ptr<const Scene> scene, PlannedForest planned, Settings settings,
+                const Candidate& best) const {
         const double tol = wish_.budget;
-        const auto merges = static_cast<double>(grown.layout.fans.size());
-        const double ends = grown.layout.ends > 0 ? share_ends * tol : 0;
+        const auto merges = static_cast<double>(planned.layout.fans.size());
+        const double ends = planned.layout.ends > 0 ? share_ends * tol : 0;
         settings.errors.emplace_back("sub-images",
-                                     std::hypot(tree_error(grown.layout.taps, grown.layout.fans.size() + 1), ends));
+                                     std::hypot(tree_error(planned.layout.taps, planned.layout.fans.size() + 1), ends));
         if (merges > 0) settings.errors.emplace_back("positions", share_positions * tol * merges / most_merges);
         if (best.relief > 0) settings.errors.emplace_back("relief", best.relief);
-        grown.forest.slack = share_phase * best.share;
+        planned.forest.slack = share_phase * best.share;
         settings.near = std::max(settings.near, best.near);  // tiles are as wide as its blocks
-        Plan out{wish_, std::move(scene), std::move(settings), std::move(grown), best.block, {}, 0, {}};
-        out.seconds = forest_seconds(*out.scene, *out.grown, out.settings, costs_);
+        Plan out{wish_, std::move(scene), std::move(settings), std::move(planned), best.block, {}, 0, {}};
+        out.seconds = forest_seconds(*out.scene, *out.trees, out.settings, costs_);
         return out;
     }
 
@@ -302,8 +303,8 @@ Plan directly(const Plan& plan, const std::string& why) {
 
 Plan widely(const Plan& plan, double ends) {
     const Costs& costs = costs_of(plan.wish.isa);
-    if (plan.grown) {
-        const Forest& forest = plan.grown->forest;
+    if (plan.trees) {
+        const Forest& forest = plan.trees->forest;
         const double share = share_leaves * plan.wish.budget;
         auto settings = choose_for_leaves(*plan.scene, share, costs, forest.phases, forest.per_samples, ends);
         if (!settings) return widely(directly(plan, plan.why_direct), ends);

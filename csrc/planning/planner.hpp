@@ -34,13 +34,13 @@ struct Plan {
     Wish wish;
     std::shared_ptr<const Scene> scene;  // with the samples that trees ask for, where there are any
     Settings settings;
-    std::optional<Grown> grown;
+    std::optional<PlannedForest> trees;
     int block;               // pixels of a block of the image's lines; 0: the image is points
     std::string why_direct;  // or empty
     double seconds = 0;      // predicted, on one thread
     std::string other;       // the method that is not used: its predicted time, or why it cannot be; or not looked at
 
-    double share() const { return grown ? grown->share : 0; }
+    double share() const { return trees ? trees->share : 0; }
     // Of a trace: number of the first sample that tables are made of; it may lie before the record.
     std::int64_t start(std::size_t trace) const;
     // Whether the image is a sum of so many batches, or trees, that floats would round it too often.

@@ -392,10 +392,10 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         Layout cut = layout;
         cut.fans = fans;
         cut.length = 3;
-        const auto grown = make_forest(scene, image, cut, 1, 0, 0, false, poll);
-        CHECK(grown && grown->share == 1 && grown->trees > 1 && grown->forest.sections.size() == 1);
-        if (!grown) continue;
-        const Forest& forest = grown->forest;
+        const auto planned = make_forest(scene, image, cut, 1, 0, 0, false, poll);
+        CHECK(planned && planned->share == 1 && planned->count > 1 && planned->forest.sections.size() == 1);
+        if (!planned) continue;
+        const Forest& forest = planned->forest;
         // at least as dense as the echoes' own band asks, as dense as tables' intervals
         CHECK(forest.step < 1500 / (4 * 15e3 * cut.taps.rate));
         CHECK(std::abs(forest.step * 2 * 40e3 * forest.phases / forest.per_samples / 1500 - 1) < 1e-12);

@@ -32,7 +32,7 @@ def for_leaves(scene: Scene, tol: float, engine: Parts, forest: Forest, wide: fl
     return settings.choose(scene, trees.LEAVES * tol, engine, wide, leaves=True)
 
 
-def grow(
+def make_trees(
     scene: Scene, grid: Grid, tol: float, choices: Choices, engine: Parts, fallback: bool, threads: int, auto: bool
 ) -> tuple[Forest | None, str]:  # fmt: skip
     """Trees, or None and why all is summed directly; an error where that is forbidden, of any terms.
@@ -41,12 +41,12 @@ def grow(
     """
     if auto and scene.traces * scene.pixels < TERMS:
         return None, LONGER
-    site, why = trees.lay_out(scene, grid, tol, engine, not fallback)
-    if site is not None and auto and (site.share < 0.5 or scene.traces < TRACES * len(site.pieces)):
+    placed, why = trees.lay_out(scene, grid, tol, engine, not fallback)
+    if placed is not None and auto and (placed.share < 0.5 or scene.traces < TRACES * len(placed.pieces)):
         return None, LONGER
     forest = None
-    if site is not None:
-        forest = trees.grow(scene, site, tol, engine)
+    if placed is not None:
+        forest = trees.make_forest(scene, placed, tol, engine)
         why = "" if forest is not None else LONGER
     if forest is None and not fallback:
         raise ValueError(f"fallback=False, tol={tol:g}: expected all terms to go through the tree, found: {why}")
@@ -58,11 +58,11 @@ def other(scene: Scene, grid: Grid, tol: float, choices: Choices, forest: Forest
     if forest is not None:
         return f"backprojection: {seconds(scene, choose(scene, tol, engine), None, engine) / threads:.2g} s predicted"
     try:
-        site, why = trees.lay_out(scene, grid, tol, engine, False)
+        placed, why = trees.lay_out(scene, grid, tol, engine, False)
     except InternalError as error:
-        site, why = None, f"no trees: {error}"
-    if site is not None:
-        why = f"trees over {len(site.pieces)} groups of pings would serve {100 * site.share:.3g} % of the terms"
+        placed, why = None, f"no trees: {error}"
+    if placed is not None:
+        why = f"trees over {len(placed.pieces)} groups of pings would serve {100 * placed.share:.3g} % of the terms"
     return f"ffbp: {why}"
 
 

@@ -96,15 +96,15 @@ class Forest:
             f"{taps.width} taps at {taps.rate:.3g} x the band, nodes every {self.step:.3g} m",
             f"  factorised     {100 * self.share:.1f} % of the terms, the rest summed directly",
         ]
-        grown = [t.subtree for t in self.trees if t.subtree is not None]
-        for i, level in enumerate(grown[len(grown) // 2].levels):
+        subtrees = [t.subtree for t in self.trees if t.subtree is not None]
+        for i, level in enumerate(subtrees[len(subtrees) // 2].levels):
             made = f"{level.span[-1] / len(level):.3g} {'traces' if i == 0 else 'sub-images'} each"
             lines.append(f"    level {i}      {len(level)} sub-images of {made}, {level.nodes / len(level):.3g} nodes")
         return lines
 
 
 @dataclass
-class Site:
+class Placement:
     """A layout on a scene: traces of its groups, groups with their traces' places along them, phase centres of all traces; of
     each section and group the tiles read from trees, and those summed directly; what share of the terms is read."""
 
@@ -142,7 +142,7 @@ def why_not(scene: Scene, tol: float) -> str:
     return next((why for found, why in rows if found), "")
 
 
-def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) -> tuple[Site | None, str]:
+def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) -> tuple[Placement | None, str]:
     """The longest groups that serve all tiles, or those that serve most (`whole`: none), or why there are none."""
     why = why_not(scene, tol)
     if why:
@@ -159,7 +159,7 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
         return None, "there is nothing to sum"
     delay = reception(scene)
     centres = subapertures.phase_centres(scene.trace, delay)
-    best: Site | None = None
+    best: Placement | None = None
     for length in _lengths(centres[order], image):
         pieces = [order[part] for part in subapertures.cut_track(centres[order], order // scene.channels, length)]
         if len(pieces) * LEAST > len(order) and not whole:
@@ -168,19 +168,19 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
         layout = _layout(scene, max(members.extent for members, _ in groups), len(order) / len(pieces), tol)
         if layout is None:
             return None, "no interpolation keeps tol"
-        site = Site(layout, raster, pieces, groups, centres, [], 0.0)
+        placed = Placement(layout, raster, pieces, groups, centres, [], 0.0)
         through = everything = 0
         for section in image:
             fates = [_fates(scene, piece, g[0], section, layout, near) for piece, g in zip(pieces, groups, strict=True)]
-            site.fates.append((section, fates))
+            placed.fates.append((section, fates))
             for piece, (read, direct) in zip(pieces, fates, strict=True):
                 through += len(piece) * int(section.pixels[read].sum())
                 everything += len(piece) * int(section.pixels[read | direct].sum())
-        site.share = through / max(everything, 1)
-        if site.share == 1:
-            return site, ""
-        if best is None or site.share > best.share:
-            best = site
+        placed.share = through / max(everything, 1)
+        if placed.share == 1:
+            return placed, ""
+        if best is None or placed.share > best.share:
+            best = placed
     if best is None:
         return None, LONGER
     if best.share == 0:
@@ -299,26 +299,26 @@ def _within(
     return inside & heard, heard
 
 
-def grow(scene: Scene, site: Site, tol: float, engine: Parts) -> Forest | None:
+def make_forest(scene: Scene, placed: Placement, tol: float, engine: Parts) -> Forest | None:
     """Trees of a layout; None where they have more nodes than the sum has terms."""
-    rate = _rate(scene, site.layout, 2 / scene.c * scene.band * scene.fs)
+    rate = _rate(scene, placed.layout, 2 / scene.c * scene.band * scene.fs)
     while True:
-        found = _with_rate(scene, site, rate)
+        found = _with_rate(scene, placed, rate)
         if found is None:
             return None
         made, wider, along = found
-        asked = _rate(scene, site.layout, along)
+        asked = _rate(scene, placed.layout, along)
         if asked <= rate * (1 + 1e-9):
             break
         rate = asked
     choices = settings.choose(wider, LEAVES * tol, engine, leaves=True)
-    merges = len(site.layout.fans)
-    ends = ENDS * tol if site.layout.ends else 0.0
-    errors = choices.errors | {"sub-images": math.hypot(bounds.tree_error(site.layout.taps, merges + 1), ends)}
+    merges = len(placed.layout.fans)
+    ends = ENDS * tol if placed.layout.ends else 0.0
+    errors = choices.errors | {"sub-images": math.hypot(bounds.tree_error(placed.layout.taps, merges + 1), ends)}
     if merges:
         errors["positions"] = POSITIONS * tol * merges / MERGES
     step = scene.c / (2 * scene.fs * rate)
-    return Forest(wider, site.raster, site.layout, rate, step, made, replace(choices, errors=errors), site.share)
+    return Forest(wider, placed.raster, placed.layout, rate, step, made, replace(choices, errors=errors), placed.share)
 
 
 def _rate(scene: Scene, layout: Layout, along: float) -> float:
@@ -326,22 +326,22 @@ def _rate(scene: Scene, layout: Layout, along: float) -> float:
     return scene.c * layout.taps.rate * SPARE * along / scene.fs
 
 
-def _with_rate(scene: Scene, site: Site, rate: float) -> tuple[list[Section], Scene, float] | None:
+def _with_rate(scene: Scene, placed: Placement, rate: float) -> tuple[list[Section], Scene, float] | None:
     """Sections with trees of `rate` nodes per sample, the scene with the samples that their leaves ask for, and the highest
     frequency along their rays. One spacing for all grids: neighbours along a parent's ray are neighbours on a child's."""
-    step, layout = scene.c / (2 * scene.fs * rate), site.layout
+    step, layout = scene.c / (2 * scene.fs * rate), placed.layout
     medium = Medium(scene.c, scene.fc, 2 * scene.band * scene.fs, reception(scene))
     wider = copy.copy(scene)
     wider.first, wider.last = scene.first.copy(), scene.last.copy()
     left, along, made = max(LEAST_NODES, scene.traces * scene.pixels), 0.0, []
-    for base, fates in site.fates:
+    for base, fates in placed.fates:
         section = replace(base, trees=[])
-        for piece, (members, places), (read, direct) in zip(site.pieces, site.groups, fates, strict=True):
+        for piece, (members, places), (read, direct) in zip(placed.pieces, placed.groups, fates, strict=True):
             subtree: Subtree | None = None
             if read.any():
                 reads = subapertures.seen_from(base.corners[read], members.centre)
                 subtree = subapertures.make_subtree(
-                    members, places, layout.fans, scene.trace, site.centres, medium, section.plane, reads, step, layout.taps,
+                    members, places, layout.fans, scene.trace, placed.centres, medium, section.plane, reads, step, layout.taps,
                     left,
                 )  # fmt: skip
                 if subtree is None:
