@@ -52,8 +52,8 @@ MUTATIONS = (
         "filter.error = measure(filter, band);", "filter.error = measure(filter, band) / 20;",
     ),
     Mutation(
-        "polynomials of sine and cosine", "1e-3", "csrc/core/polynomials.cpp",
-        "return std::max(s, c);", "return 1e-3 * std::max(s, c);",
+        "polynomials of sine and cosine", "1e-3", "pysas/planning/bounds.py",
+        "return (fits[0], fits[1]), worst", "return (fits[0], fits[1]), 1e-3 * worst",
     ),
     Mutation(
         "remainder of the delay polynomial", "1e-4", "csrc/planning/settings.cpp",
@@ -68,9 +68,8 @@ MUTATIONS = (
         "/ (model.c - speed) - trace.t0", "/ (model.c - 0 * speed) - trace.t0",
     ),
     Mutation(
-        "zeros against wrap-round", "1/8", "csrc/planning/bounds.cpp",
-        "return guards[static_cast<int>(std::clamp<double>(index, 0, last))];",
-        "return guards[static_cast<int>(std::clamp<double>(index, 0, last))] / 8;",
+        "zeros against wrap-round", "1/8", "pysas/planning/bounds.py",
+        "return GUARD[min(max(index, 0), len(GUARD) - 1)]", "return GUARD[min(max(index, 0), len(GUARD) - 1)] // 8",
     ),
     Mutation(
         "interpolation by transforms", "1/30", "pysas/planning/fallback/settings.py",
