@@ -117,16 +117,13 @@ std::shared_ptr<Scene> make_scene(Survey& survey, Pixels& pixels, const Array<do
 py::dict choices_of(const Plan& plan) {
     const Settings& s = plan.settings;
     const py::dict errors(py::cast(s.errors));
-    const Kind kind = plan.scene->kind;
-    const char* delay = kind == Kind::monostatic     ? "monostatic"
-                        : kind == Kind::stop_and_hop ? "bistatic"
-                                                     : "moving receivers";
     return py::dict("precision"_a = s.narrow ? "float32" : "float64", "degree"_a = s.filter.degree,
                     "oversampling"_a = s.oversampling, "n_fft"_a = s.n_fft, "n_fine"_a = 2 * s.n_fft,
                     "length"_a = s.length, "margin"_a = s.margin, "taper"_a = s.taper, "beta"_a = s.beta,
                     "block"_a = s.block, "near"_a = s.near, "trigonometry"_a = s.terms, "batch"_a = s.batch,
-                    "delay"_a = delay, "errors"_a = errors, "run"_a = s.run, "phases"_a = s.filter.phases,
-                    "step"_a = s.filter.step, "taps"_a = s.filter.taps, "wide"_a = s.wide);
+                    "delay"_a = words_of(plan.scene->kind), "errors"_a = errors, "run"_a = s.run,
+                    "phases"_a = s.filter.phases, "step"_a = s.filter.step, "taps"_a = s.filter.taps,
+                    "wide"_a = s.wide);
 }
 
 // A plan that has all that sums need.

@@ -25,6 +25,9 @@ class Draw {
     std::uint64_t state_;
 };
 
+// Of `count` things at most `most`, evenly spaced, the first and the last among them.
+Numbers some_of(std::int64_t count, std::int64_t most);
+
 // Numbers of at most `count` of a scene's wanted pixels, one somewhere in each of equal parts, ascending.
 Numbers drawn_pixels(const Scene& scene, std::int64_t count, std::uint64_t seed);
 

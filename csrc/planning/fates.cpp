@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "core/polynomials.hpp"
+#include "planning/draw.hpp"
 
 namespace pysas {
 namespace {

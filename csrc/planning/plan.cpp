@@ -43,10 +43,6 @@ Reader reader_of(const Settings& settings) {
     return out;
 }
 
-std::string kind_of(Kind kind) {
-    return kind == Kind::monostatic ? "monostatic" : kind == Kind::stop_and_hop ? "bistatic" : "moving receivers";
-}
-
 std::string trees_of(const Plan& plan) {
     const PlannedForest& planned = *plan.trees;
     const TapDesign& taps = planned.layout.taps;
@@ -160,7 +156,7 @@ std::string Plan::describe(const std::string& shape, std::int64_t more) const {
            text(s.filter.taps) + " taps\n";
     out += "  interpolation  degree " + text(s.filter.degree) + " at " + number(s.oversampling, 3) +
            " x the sample rate\n";
-    out += "  delay          " + kind_of(scene->kind) + ", " +
+    out += "  delay          " + std::string(words_of(scene->kind)) + ", " +
            (s.block ? "polynomials over " + text(s.block) + " pixels, exact below " + number(s.near, 3) + " m"
                     : "exact per pixel") +
            "\n";

@@ -25,17 +25,6 @@ Numbers spread_over(std::int64_t number, std::int64_t count, std::uint64_t seed)
     return out;
 }
 
-// `number` places from 0 to `last`, both ends included.
-Numbers even_places(std::int64_t last, std::int64_t number) {
-    Numbers out;
-    const double step = number > 1 ? static_cast<double>(last) / static_cast<double>(number - 1) : 0.0;
-    for (std::int64_t i = 0; i + 1 < number; ++i)
-        out.push_back(static_cast<std::int64_t>(static_cast<double>(i) * step));
-    if (number > 0) out.push_back(number > 1 ? last : 0);
-    out.erase(std::unique(out.begin(), out.end()), out.end());
-    return out;
-}
-
 // Numbers of the `places`-th wanted pixels; places ascend.
 Numbers wanted_ones(const std::vector<std::uint8_t>& mask, const Numbers& places) {
     if (mask.empty()) return places;
@@ -92,7 +81,7 @@ double slope_of(const Pixels& pixels, const std::vector<Trace>& traces, bool mon
     if (!pixels.straight() || pixels.width == 1) return 0;
     const double places[] = {0, static_cast<double>(pixels.width - 1) / 2, static_cast<double>(pixels.width - 1)};
     double worst = 0;
-    for (const std::int64_t i : even_places(pixels.height - 1, std::min<std::int64_t>(pixels.height, 9))) {
+    for (const std::int64_t i : some_of(pixels.height, 9)) {
         const Point first = point(&pixels.first[static_cast<std::size_t>(3 * i)]);
         const Point step = point(&pixels.step[static_cast<std::size_t>(3 * i)]);
         const Point along = over(step, std::max(length(step), 1e-300));
@@ -137,6 +126,20 @@ Points points_on_map(const double* x, const double* y, const double* height, std
             *out++ = height[number] - origin.z;
         }
     };
+}
+
+Numbers some_of(std::int64_t count, std::int64_t most) {
+    Numbers out;
+    const std::int64_t number = std::min(count, most);
+    const double step = static_cast<double>(count - 1) / static_cast<double>(std::max<std::int64_t>(number - 1, 1));
+    for (std::int64_t i = 0; i + 1 < number; ++i)
+        out.push_back(static_cast<std::int64_t>(static_cast<double>(i) * step));
+    if (number > 0) out.push_back(number > 1 ? count - 1 : 0);
+    return out;
+}
+
+const char* words_of(Kind kind) {
+    return kind == Kind::monostatic ? "monostatic" : kind == Kind::stop_and_hop ? "bistatic" : "moving receivers";
 }
 
 Numbers drawn_pixels(const Scene& scene, std::int64_t count, std::uint64_t seed) {
@@ -247,7 +250,7 @@ void Scene::look() const {
     const Numbers some = drawn_pixels(*this, sampled, 0);
     const std::vector<Point> places = places_of(pixels, some);
     // a stride might meet one channel alone
-    const Numbers picked = even_places(traces() - 1, std::min(traces(), sampled_traces));
+    const Numbers picked = some_of(traces(), sampled_traces);
     for (std::size_t k = 0; k < some.size(); ++k) {
         const Point pixel = places[k];
         const auto line = static_cast<std::size_t>(some[k] / pixels.width);

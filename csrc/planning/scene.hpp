@@ -63,6 +63,8 @@ struct Survey {
     bool each = false;                      // weights uniform in view angle are every pixel's own
 };
 
+const char* words_of(Kind kind);
+
 class Scene {
   public:
     // `low`, `high`: corners of a box about the pixels.

@@ -172,14 +172,4 @@ std::vector<Tiled> tiles_of(const Scene& scene, int count) {
     return out;
 }
 
-Numbers some_of(std::int64_t count, std::int64_t most) {
-    Numbers out;
-    const std::int64_t number = std::min(count, most);
-    const double step = static_cast<double>(count - 1) / static_cast<double>(std::max<std::int64_t>(number - 1, 1));
-    for (std::int64_t i = 0; i + 1 < number; ++i)
-        out.push_back(static_cast<std::int64_t>(static_cast<double>(i) * step));
-    if (number > 0) out.push_back(number > 1 ? count - 1 : 0);
-    return out;
-}
-
 }  // namespace pysas

@@ -26,7 +26,4 @@ struct Tiled {
 // block.
 std::vector<Tiled> tiles_of(const Scene& scene, int block);
 
-// Of `count` things at most `most`, evenly spaced, the first and the last among them.
-Numbers some_of(std::int64_t count, std::int64_t most);
-
 }  // namespace pysas

@@ -17,19 +17,24 @@ Tick = Callable[[float], None] | None
 Places = FloatArray | tuple[FloatArray, FloatArray, FloatArray] | Callable[[npt.NDArray[np.int64]], FloatArray]
 
 
-class Done(Protocol):
-    """What became of some data, and the plan that was carried out: its `choices`, as planning.settings.Choices has them, with
-    errors by name; `share` of the terms that went through `trees`, and `why_direct` where these were asked for in vain.
+class Chosen(Protocol):
+    """What a plan chose: `choices`, as planning.settings.Choices has them, with errors by name; `share` of the terms that go
+    through `trees`, and `why_direct` where these were asked for in vain."""
+
+    choices: dict[str, Any]
+    share: float
+    trees: int
+    why_direct: str
+
+
+class Done(Chosen, Protocol):
+    """What became of some data, and the plan that was carried out.
 
     left_out : traces with samples that are not finite; used : number of traces summed; beside : error that bright samples
     make beyond the plan's bounds; lost : share of the image that its type does not hold; loudest : trace beside which others
     are lost in float32, or -1.
     """
 
-    choices: dict[str, Any]
-    share: float
-    trees: int
-    why_direct: str
     prepare_seconds: float
     sum_seconds: float
     terms: int
@@ -40,14 +45,10 @@ class Done(Protocol):
     loudest: int
 
 
-class Planned(Protocol):
+class Planned(Chosen, Protocol):
     """A plan of an engine that plans by itself; seconds : predicted, on one thread; memory : bytes beyond the input."""
 
-    choices: dict[str, Any]
     isa: str
-    share: float
-    trees: int
-    why_direct: str
     seconds: float
     memory: int
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
+from pysas.imaging import words
 
 WIDE = 80  # bits between the traces' largest terms: float32 may lose the small ones
 LOST = 2.0**-100  # of the largest term: what float32 sums of such traces cannot be trusted below
@@ -74,4 +75,4 @@ def restore(image: ComplexArray, scale: float, traces: int, error: float) -> str
     lost = 2.0 ** min(kind.minexp - kind.nmant - exponent - math.log2(most), 1000.0) / math.sqrt(6) / max(level, 1e-300)
     if lost <= error / 10:
         return ""
-    return f"the image is so small that {image.dtype} holds it within {min(lost, 1.0):.2g} of itself only: scale the data"
+    return words.too_small(image.dtype, min(lost, 1.0))

@@ -10,6 +10,7 @@ import numpy as np
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import Planning, interface
 from pysas.engine.survey import Totals, readable
+from pysas.imaging import words
 from pysas.imaging.plans import Done
 from pysas.model.grid import Grid
 from pysas.planning import view_angles
@@ -27,13 +28,12 @@ class Compiled:
         engine: Planning,
     ) -> None:  # fmt: skip
         """`views` : what weights uniform in view angle are wrong by, beside the `budget` of sums."""
-        self.scene, self.shape, self.tol, self.views, self.threads = scene, grid.shape, tol, views, threads
-
+        self.scene, self.shape, self.tol, self.views = scene, grid.shape, tol, views
         self.plan = engine.plan(
             scene, grid.shape, grid.mask, _places(grid, scene.origin), tol, budget, method, fallback, threads
         )
 
-    def _choices(self, plan: interface.Planned | interface.Done, more: float = 0.0) -> Choices:
+    def _choices(self, plan: interface.Chosen, more: float = 0.0) -> Choices:
         errors = dict(plan.choices["errors"])
         if self.scene.uniform:
             errors["view angles"] = self.views
@@ -98,22 +98,16 @@ class Compiled:
         finite = np.ones(scene.traces, dtype=np.bool_)
         finite[list(done.left_out)] = False
         choices = self._choices(done, done.beside) if done.used else self.choices
-        notes = [f"{len(done.left_out)} of {scene.traces} traces left out: non-finite samples"] * bool(done.left_out)
-        notes = [f"summed directly: {done.why_direct}"] * bool(done.why_direct) + notes
+        notes = [words.direct(done.why_direct)] * bool(done.why_direct)
+        notes += [words.left_out(len(done.left_out), scene.traces)] * bool(done.left_out)
+        notes += [words.WIDE] * choices.wide
         warned = []
-        if choices.wide:
-            notes.append("whole records read in float64: samples beside those that pixels read are bright")
         if done.beside:
-            warned.append(
-                f"tol={self.tol:g} is not promised, error {choices.predicted_error:.2g} predicted: float64 cannot tell what "
-                "pixels read from the bright samples beside"
-            )
+            warned.append(words.not_promised(self.tol, choices.predicted_error))
         if done.loudest >= 0:
-            ping, channel = divmod(done.loudest, scene.channels)
-            warned.append(f"the image is lost beside ping {ping}, channel {channel}: leave it out by weight 0")
+            warned.append(words.lost_beside(done.loudest, scene.channels))
         if done.lost:
-            text = f"the image is so small that {image.dtype} holds it within {done.lost:.2g} of itself only: scale the data"
-            warned.append(text)
+            warned.append(words.too_small(image.dtype, done.lost))
         totals = Totals(done.prepare_seconds, done.sum_seconds, done.terms)
         return Done(totals, choices, float(done.share), finite, notes, warned)
 

@@ -70,10 +70,10 @@ class Interpreted:
 
     @property
     def seconds(self) -> float:
-        return planner.seconds(self.scene, self.choices, self.forest, self.engine)
+        return planner.seconds(self.scene, self.choices, self.forest)
 
     def other(self) -> str:
-        args = (self.scene, self.grid, self.budget, self.choices, self.forest, self.engine, self.threads)
+        args = (self.scene, self.grid, self.budget, self.forest, self.engine, self.threads)
         return planner.other(*args)
 
     def describe(self) -> str:
@@ -82,12 +82,11 @@ class Interpreted:
         shape = " x ".join(map(str, self.grid.shape))
         delay = f"polynomials over {c.block} pixels, exact below {c.near:.3g} m" if c.block else "exact per pixel"
         kept = f"{c.length} of {scene.n_sample} samples" + (f", tapered over {c.taper}" if c.taper else "")
-        made = [f"transforms of {c.n_fft} and {c.n_fine}"] * bool(c.n_fft) + [f"a filter of {c.taps} taps"] * bool(c.taps)
         return "\n".join(
             [
                 f"Plan: {method} of {scene.traces} traces on {shape} pixels, tol {self.tol:g}",
                 f"  backend        {self.engine.name}, {c.precision}, {self.threads} threads, batches of {c.batch} traces",
-                f"  traces         {kept}, {', '.join(made)}",
+                f"  traces         {kept}, transforms of {c.n_fft} and {c.n_fine}",
                 f"  interpolation  degree {c.degree} at {c.oversampling:.3g} x the sample rate",
                 f"  delay          {c.delay}, {delay}",
                 f"  terms          {scene.traces * scene.pixels:.4g} at most",

@@ -26,6 +26,7 @@ from pysas import _pool as pool
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import MONOSTATIC, Parts, preparation
 from pysas.engine.survey import rows_per_task
+from pysas.imaging import words
 from pysas.imaging.interpreted import Interpreted, Terms
 from pysas.planning import bounds
 from pysas.planning.fallback import planner
@@ -151,12 +152,9 @@ def notes(plan: Interpreted) -> tuple[list[str], list[str]]:
     budget."""
     found, warned = [], []
     if plan.choices.wide:
-        found.append("whole records read in float64: samples beside those that pixels read are bright")
+        found.append(words.WIDE)
     if _predicted(plan) > plan.budget * (1 + 1e-9):
-        warned.append(
-            f"tol={plan.tol:g} is not promised, error {plan.choices.predicted_error:.2g} predicted: float64 cannot tell what "
-            "pixels read from the bright samples beside"
-        )
+        warned.append(words.not_promised(plan.tol, plan.choices.predicted_error))
     return found, warned
 
 
@@ -344,7 +342,7 @@ def _wide(plan: Interpreted, ends: float) -> Interpreted:
     if found is None:
         choices: Choices | None
         if plan.forest is not None:
-            choices = planner.for_leaves(plan.scene, plan.budget, plan.engine, plan.forest, ends)
+            choices = planner.for_leaves(plan.scene, plan.budget, plan.engine, ends)
         else:
             choices = planner.choose(plan.scene, plan.budget, plan.engine, ends)
         if choices is None:

@@ -148,7 +148,7 @@ def _interpreted(
     forest, why = None, ""
     if method != "backprojection":
         try:
-            forest, why = fixed.make_trees(scene, grid, budget, choices, engine, fallback, threads, method == "auto")
+            forest, why = fixed.make_trees(scene, grid, budget, engine, fallback, method == "auto")
             why = why if method == "ffbp" else ""
         except _checks.InternalError as error:  # no fault of the scene: there is always the direct sum
             if not fallback:

@@ -13,7 +13,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import BLOCK
 from pysas.engine.survey import Survey, Totals
 from pysas.engine.traces import MODEL, record
-from pysas.imaging import amplitudes, factorised, levels
+from pysas.imaging import amplitudes, factorised, levels, words
 from pysas.imaging.interpreted import Interpreted
 from pysas.imaging.plans import Done
 from pysas.model.grid import Grid
@@ -38,7 +38,7 @@ class Summing(Interpreted):
         scale = amplitudes.scale_of(exponents)
         plan = levels.fit(plan, samples, used, scale)
         if plan.why_direct:
-            notes.insert(0, f"summed directly: {plan.why_direct}")
+            notes.insert(0, words.direct(plan.why_direct))
         warned: list[str] = []
         if plan is not self:
             more, warned = levels.notes(plan)
@@ -62,8 +62,8 @@ class Summing(Interpreted):
 
 def _peaks(plan: Interpreted, samples: ComplexArray) -> FloatArray:
     """Of what is read of every trace; not finite where the trace is not."""
-    reach, start = plan.choices.taps, _starts(plan)
-    begin, end = (np.clip(at, 0, plan.scene.n_sample) for at in (start - reach, start + plan.choices.length + reach))
+    start = _starts(plan)
+    begin, end = (np.clip(at, 0, plan.scene.n_sample) for at in (start, start + plan.choices.length))
     return plan.engine.peaks(samples, begin, end, plan.threads).reshape(-1)
 
 
@@ -73,7 +73,7 @@ def _left_out(plan: Interpreted, finite: npt.NDArray[np.bool_], nan: str) -> str
     if nan == "raise":
         ping, channel = divmod(int(bad[0]), plan.scene.channels)
         raise ValueError(f"data: non-finite sample at ping {ping}, channel {channel}: expected finite (or nan='mask')")
-    return f"{len(bad)} of {plan.scene.traces} traces left out: non-finite samples"
+    return words.left_out(len(bad), plan.scene.traces)
 
 
 def _add(
@@ -108,8 +108,7 @@ def _restored(
     said = []
     if plan.choices.precision == "float32" and amplitudes.wide(exponents):
         if max(np.abs(target.real).max(), np.abs(target.imag).max()) < amplitudes.LOST:
-            worst = divmod(int(order[np.argmax(exponents)]), plan.scene.channels)
-            said.append(f"the image is lost beside ping {worst[0]}, channel {worst[1]}: leave it out by weight 0")
+            said.append(words.lost_beside(int(order[np.argmax(exponents)]), plan.scene.channels))
     small = amplitudes.restore(target, scale, order.size, plan.tol)
     return said + ([small] if small else [])
 
@@ -157,7 +156,7 @@ def _as_lines(image: ComplexArray, shape: tuple[int, int]) -> ComplexArray | Non
 def _starts(plan: Interpreted) -> npt.NDArray[np.int64]:
     """First sample that tables are made of, of every trace; it may lie before the record."""
     scene, choices = plan.scene, plan.choices
-    if choices.taper or (choices.taps and (choices.wide or not choices.n_fft)):
+    if choices.taper:
         return np.asarray(scene.first - 1 - choices.margin)
     return np.zeros(scene.traces, dtype=np.int64)
 

@@ -27,17 +27,17 @@ def rule(auto: bool) -> str:
     return RULE if auto else ""
 
 
-def for_leaves(scene: Scene, tol: float, engine: Parts, forest: Forest, wide: float) -> Choices | None:
+def for_leaves(scene: Scene, tol: float, engine: Parts, wide: float) -> Choices | None:
     """Settings of the leaves of trees within `tol`, and of what is summed directly beside them."""
     return settings.choose(scene, trees.LEAVES * tol, engine, wide, leaves=True)
 
 
 def make_trees(
-    scene: Scene, grid: Grid, tol: float, choices: Choices, engine: Parts, fallback: bool, threads: int, auto: bool
+    scene: Scene, grid: Grid, tol: float, engine: Parts, fallback: bool, auto: bool
 ) -> tuple[Forest | None, str]:  # fmt: skip
     """Trees, or None and why all is summed directly; an error where that is forbidden, of any terms.
 
-    `auto` : where `RULE` has them. `choices` and `threads` decide nothing here.
+    `auto` : where `RULE` has them.
     """
     if auto and scene.traces * scene.pixels < TERMS:
         return None, LONGER
@@ -53,10 +53,10 @@ def make_trees(
     return forest, why
 
 
-def other(scene: Scene, grid: Grid, tol: float, choices: Choices, forest: Forest | None, engine: Parts, threads: int) -> str:
+def other(scene: Scene, grid: Grid, tol: float, forest: Forest | None, engine: Parts, threads: int) -> str:
     """The engine that a plan does not use: its rough time, or why it cannot be."""
     if forest is not None:
-        return f"backprojection: {seconds(scene, choose(scene, tol, engine), None, engine) / threads:.2g} s predicted"
+        return f"backprojection: {seconds(scene, choose(scene, tol, engine), None) / threads:.2g} s predicted"
     try:
         placed, why = trees.lay_out(scene, grid, tol, engine, False)
     except InternalError as error:
@@ -66,7 +66,7 @@ def other(scene: Scene, grid: Grid, tol: float, choices: Choices, forest: Forest
     return f"ffbp: {why}"
 
 
-def seconds(scene: Scene, choices: Choices, forest: Forest | None, engine: Parts) -> float:
+def seconds(scene: Scene, choices: Choices, forest: Forest | None) -> float:
     """Rough time of an image on one thread, s."""
     heard = int(np.count_nonzero(scene.heard))
     total = COEFFICIENT_NS * heard * choices.n_fine * (choices.degree + 1)
