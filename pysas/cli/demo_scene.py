@@ -8,7 +8,8 @@ import numpy as np
 
 from pysas import tracks
 from pysas._checks import FloatArray
-from pysas.model.echoes import Beam, Echoes
+from pysas.model.beam import Beam
+from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.pulse import LFM
 from pysas.simulation import Element, simulate

@@ -36,7 +36,7 @@ class Fallback:
         return str(binding.get_host_cpu_name())
 
     def arcs(
-        self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
+        self, trace: Records, channels: int, beam: Records, points: FloatArray, order: npt.NDArray[np.int64],
         out: npt.NDArray[Any], threads: int,
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
         pattern = np.empty(len(points), dtype=np.uint64)
@@ -45,7 +45,7 @@ class Fallback:
 
         def some(task: int) -> None:
             part = slice(task * rows, min((task + 1) * rows, len(points)))
-            pool.call(_numba_arcs.arcs, geometry, channels, cos_beam, points[part], order, out[part], pattern[part])
+            pool.call(_numba_arcs.arcs, geometry, channels, reals(beam), points[part], order, out[part], pattern[part])
 
         pool.run(some, -(-len(points) // rows), threads)
         return pattern

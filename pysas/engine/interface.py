@@ -71,7 +71,7 @@ class Engine(Protocol):
         """What kernels run on: an instruction set, or a processor's name."""
 
     def arcs(
-        self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
+        self, trace: Records, channels: int, beam: Records, points: FloatArray, order: npt.NDArray[np.int64],
         out: npt.NDArray[Any], threads: int,
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
         """Fill `out` (point, kept) with the arcs of traces `order` among all at points about the scene's centre.

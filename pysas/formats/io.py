@@ -20,7 +20,8 @@ from pysas import _checks
 from pysas.formats import files
 from pysas.formats.containers import KINDS as DTYPES
 from pysas.formats.containers import File, container
-from pysas.model.echoes import Beam, Echoes
+from pysas.model.beam import Beam
+from pysas.model.echoes import Echoes
 from pysas.model.grid import KINDS, Grid
 from pysas.model.image import Image, Report
 from pysas.model.pulse import LFM

@@ -169,7 +169,7 @@ def _survey(plan: Interpreted, order: npt.NDArray[np.int64]) -> Survey:
     near = choices.near if choices.block else np.inf
     model = record(
         MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=choices.oversampling, last=scene.n_sample - 1,
-        cos_beam=scene.cos_beam, near=near, run=choices.run,
+        beam=scene.beam, near=near, run=choices.run,
     )  # fmt: skip
     lattice = None if scene.lattice is None else scene.lattice.of(order)
     return Survey(trace, scene.weights[order], scene.kind, model, lattice)

@@ -133,7 +133,7 @@ def why_not(scene: Scene, tol: float) -> str:
             lattice is not None and not lattice.holds(node, view_angles.LONGEST),
             "view-angle weights change fast along the rays of sub-images",
         ),
-        (scene.cos_beam > -1, "beams have edges in the image"),
+        (scene.beamed, "beams have edges in the image"),
         (
             scene.lines is None or bool(np.any(scene.lines[1][:, 2])),
             "relief or points: pixels on no even lines of level planes",
