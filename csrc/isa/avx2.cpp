@@ -23,6 +23,8 @@ struct Float {
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_ps(a, b, c); }
     static vec abs(vec a) { return _mm256_andnot_ps(set(-0.0F), a); }
+    static vec min(vec a, vec b) { return _mm256_min_ps(a, b); }
+    static vec max(vec a, vec b) { return _mm256_max_ps(a, b); }
     static vec one_where_le(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ), set(1.0F)); }
     static vec one_where_eq(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_EQ_OQ), set(1.0F)); }
     static idx bits(vec a) { return _mm256_castps_si256(a); }

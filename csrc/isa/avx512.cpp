@@ -23,6 +23,8 @@ struct Float {
     static vec fma(vec a, vec b, vec c) { return _mm512_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_ps(a, b, c); }
     static vec abs(vec a) { return _mm512_abs_ps(a); }
+    static vec min(vec a, vec b) { return _mm512_min_ps(a, b); }
+    static vec max(vec a, vec b) { return _mm512_max_ps(a, b); }
     static vec one_where_le(vec a, vec b) {
         return _mm512_maskz_mov_ps(_mm512_cmp_ps_mask(a, b, _CMP_LE_OQ), set(1.0F));
     }

@@ -11,6 +11,9 @@
 #include "kernels/weights.inl"
 
 // after those four
+#include "kernels/light.inl"
+
+// after that
 #include "kernels/exact.inl"
 
 template <typename Real>
@@ -105,11 +108,85 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     }
 }
 
+// How a line's pixels weigh for the beam: alike, by the sine of their angle, or each as it is said.
+enum class Shade { none, fading, each };
+
+template <class V, int N>
+struct Shades {
+    using real = typename V::real;
+    Shade of[tile_rows];
+    bool fading;                                                        // whether any line is
+    alignas(64) real middle[tile_rows], coefficient[N - 1][tile_rows];  // of `per` times the sine, in x^1, ...
+    alignas(64) real each[tile_rows][block];
+};
+
+// Sines of a fan's angles along a tile's lines.
+template <class V, int N>
+void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<V, N>& at, int rows,
+           Shades<V, N>& out) {
+    using D = Double;
+    using vec = D::vec;
+    const vec per = D::set(job.light.per);
+    for (int r = 0; r < rows; r += D::n) {
+        vec sine[N];
+        for (int j = 0; j < N; ++j) {
+            const vec x = D::sub(D::load(at.x[j] + r), D::set(trace.tx[0])),
+                      y = D::sub(D::load(at.y[j] + r), D::set(trace.tx[1])),
+                      z = D::sub(D::load(at.z[j] + r), D::set(trace.tx[2]));
+            const vec away = D::sqrt(D::fma(x, x, D::fma(y, y, D::mul(z, z))));
+            const vec aside =
+                D::fma(x, D::set(trace.axis[0]), D::fma(y, D::set(trace.axis[1]), D::mul(z, D::set(trace.axis[2]))));
+            sine[j] = D::mul(per, D::div(aside, away));
+        }
+        D::store(out.middle + r, sine[N / 2]);
+        for (int q = 1; q < N; ++q) {
+            vec sum = D::set(0.0);
+            for (int j = 0; j < N; ++j) {
+                if (j != N / 2) sum = D::fma(D::set(job.nodes.fit[q][j]), D::sub(sine[j], sine[N / 2]), sum);
+            }
+            D::store(out.coefficient[q - 1] + r, sum);
+        }
+    }
+}
+
+// Weights of vectors of line `r` for a fan that fades; returns how many pixels weigh nothing.
+template <class V, int N>
+int fade(const Light& light, const Shades<V, N>& shades, int r, Vectors vectors, int count, const typename V::real* x,
+         typename V::real* weight) {
+    using real = typename V::real;
+    using vec = typename V::vec;
+    vec c[N - 1], p[ramp_powers];
+    for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
+    for (int q = 0; q < ramp_powers; ++q) p[q] = V::set(static_cast<real>(light.power[q]));
+    const vec middle = V::set(shades.middle[r]), top = V::set(static_cast<real>(light.per * light.sine_half));
+    const vec zero = V::set(0), one = V::set(1);
+    for (int s = vectors.begin; s < vectors.end; ++s) {
+        const vec at = V::load(x + s * V::n);
+        vec sine = c[N - 2];
+        for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
+        sine = V::fma(sine, at, middle);
+        const vec e = V::max(zero, V::min(one, V::sub(top, V::abs(sine))));
+        vec w = p[ramp_powers - 1];
+        for (int q = ramp_powers - 2; q >= 0; --q) w = V::fma(w, e, p[q]);
+        V::store(weight + s * V::n, V::mul(w, V::mul(e, e)));
+    }
+    const auto dark = [&](int s) {
+        int found = 0;
+        for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) found += weight[m] == 0;
+        return found;
+    };
+    // at a line's ends alone: a fan's middle lies between its edges
+    const int last = vectors.end - 1;
+    return dark(vectors.begin) + (last > vectors.begin ? dark(last) : 0);
+}
+
 // Add one trace's terms of some vectors of a tile's lines, or (`Whole`: a sixth faster) of all of those lines that have
-// any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null.
+// any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null; `shades`: what they weigh for the
+// beam, or null. Returns how many pixels weigh nothing for it.
 template <bool Whole, class V, int N, int D, int T, int W>
-void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
-               const Levels<V>* level, const typename V::real* x, const Vectors* vectors) {
+std::int64_t add_lines(const TileJob<typename V::real>& tile, const typename V::real* table,
+                       const Polynomials<V, N>& poly, const Levels<V>* level, const Shades<V, N>* shades,
+                       const typename V::real* x, const Vectors* vectors) {
     using real = typename V::real;
     using vec = typename V::vec;
     const Terms<real>& job = *tile.terms;
@@ -122,9 +199,17 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     const vec round = V::set(magic<real>());
     const vec lane = lanes<V>();
     const int used = (tile.count + V::n - 1) / V::n;
+    std::int64_t dark = 0;
     for (int r = 0; r < rows; ++r) {
         if (vectors[r].end == 0) continue;
         const int begin = Whole ? 0 : vectors[r].begin, end = Whole ? used : vectors[r].end;
+        alignas(64) real faded[block];
+        const real* weight = nullptr;
+        if (shades && shades->of[r] == Shade::each) weight = shades->each[r];
+        if (shades && shades->of[r] == Shade::fading) {
+            dark += fade<V, N>(job.light, *shades, r, {begin, end}, tile.count, x, faded);
+            weight = faded;
+        }
         vec c[N - 1];
         for (int q = 0; q < N - 1; ++q) c[q] = V::set(poly.coefficient[q][r]);
         const vec turns = V::set(poly.turns[r]);
@@ -148,11 +233,17 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
             if (level) weigh<V>(*level, s, r, lane, sine, cosine);
+            if (weight) {
+                const vec w = V::load(weight + s * V::n);
+                sine = V::mul(sine, w);
+                cosine = V::mul(cosine, w);
+            }
             read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
                           V::load(position + s * V::n), re, im);
             add_turned<V>(re, im, sine, cosine, all_re + r * block + s * V::n, all_im + r * block + s * V::n);
         }
     }
+    return dark;
 }
 
 // The parts of a sum that polynomials' lengths are compiled into: lines of which some vectors are summed, their windows
@@ -160,8 +251,8 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
 template <class V, int N>
 struct Adders {
     using real = typename V::real;
-    using Lines = void (*)(const TileJob<real>&, const real*, const Polynomials<V, N>&, const Levels<V>*, const real*,
-                           const Vectors*);
+    using Lines = std::int64_t (*)(const TileJob<real>&, const real*, const Polynomials<V, N>&, const Levels<V>*,
+                                   const Shades<V, N>*, const real*, const Vectors*);
     Lines part[2], whole[4];
     void (*exact)(const TileJob<real>&, const real*, Exact<V>&, int, Vectors);
 };
@@ -175,25 +266,76 @@ Adders<V, N> adders() {
             &add_exact<V, D, T>};
 }
 
-// Vectors of a line that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
-// those that its polynomial serves (`far`: if any), while `exact` is given each run of the others.
-template <class V, class Exactly>
-Vectors split(const Trace& trace, const Model& model, const Segments& lines, int r, int count, Reach heard, Reach lit,
-              bool far, const Exactly& exactly) {
-    Vectors kept = {0, 0}, exact = {0, 0};
-    for (int s = 0; s * V::n < count; ++s) {
-        const Reach part =
-            reach(trace, model, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count, heard, lit);
-        if (part == Reach::outside) continue;
-        const bool served = far && part == Reach::inside && (kept.end == 0 || kept.end == s);
-        Vectors& run = served ? kept : exact;
-        if (!served && run.end > 0 && run.end < s) exactly(run);
-        if (run.end < s || run.end == 0) run.begin = s;
-        run.end = s + 1;
+// Places of some of a line's pixels, from a transmitter.
+template <class V>
+void away_from(const Trace& trace, const Segments& lines, int r, int first, int count, Double::vec (&out)[3]) {
+    alignas(64) double at[Double::n];
+    for (int axis = 0; axis < 3; ++axis) {
+        const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
+        for (int i = 0; i < Double::n; ++i) {
+            const int pixel = first + i < count ? first + i : count - 1;
+            at[i] = lines.begin[axis][r] + pixel * step - trace.tx[axis];
+        }
+        out[axis] = Double::load(at);
     }
-    if (exact.end > 0) exactly(exact);
-    return kept;
 }
+
+// What the pixels of vector `s` weigh for the beam; returns how many of those that there are weigh nothing.
+template <class V>
+int shade_each(const Trace& trace, const Light& light, const Segments& lines, int r, int s, int count,
+               typename V::real* out) {
+    int dark = 0;
+    for (int m = s * V::n; m < (s + 1) * V::n; m += Double::n) {
+        Double::vec away[3], counts;
+        away_from<V>(trace, lines, r, m, count, away);
+        const Double::vec weight = brightness(trace, light, away, counts);
+        alignas(64) double each[Double::n];
+        Double::store(each, counts);
+        for (int i = 0; i < Double::n && m + i < count; ++i) dark += each[i] == 0;
+        Double::store(out + m, weight);
+    }
+    return dark;
+}
+
+// A line of a tile that the beam or the record's ends cut, or that is too near for its polynomial.
+template <class V, int N>
+struct Cut {
+    const Trace& trace;
+    const Model& model;
+    const Light& light;
+    const Segments& lines;
+    int count;
+    Shades<V, N>& shades;
+
+    // The first run of vectors of line `r` that its polynomial serves (`far`: if any), while `exact` is given each run
+    // of the others; `dark` of their pixels weigh nothing.
+    template <class Exactly>
+    Vectors operator()(int r, Reach heard, Reach lit, bool far, int& dark, const Exactly& exactly) const {
+        Vectors kept = {0, 0}, exact = {0, 0};
+        if (lit != Reach::inside) shades.of[r] = light.quick && far ? Shade::fading : Shade::each;
+        for (int s = 0; s * V::n < count; ++s) {
+            const Piece part(trace, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
+            const Reach h = heard == Reach::across ? part.heard(trace, model) : heard;
+            const Reach l = lit == Reach::across ? part.lit(trace, light) : lit;
+            if (h == Reach::outside || l == Reach::outside) continue;
+            const bool served = far && h == Reach::inside && (kept.end == 0 || kept.end == s);
+            Vectors& run = served ? kept : exact;
+            if (!served && run.end > 0 && run.end < s) exactly(run);
+            if (run.end < s || run.end == 0) run.begin = s;
+            run.end = s + 1;
+            if (served && shades.of[r] == Shade::each) {
+                typename V::real* to = shades.each[r];
+                if (l == Reach::inside)
+                    V::store(to + s * V::n, V::set(1));
+                else
+                    dark += shade_each<V>(trace, light, lines, r, s, count, to);
+            }
+        }
+        if (exact.end > 0) exactly(exact);
+        shades.fading = shades.fading || (kept.end > 0 && shades.of[r] == Shade::fading);
+        return kept;
+    }
+};
 
 template <class V, int N>
 void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
@@ -240,6 +382,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     Vectors vectors[tile_rows];
     Levels<V> scratch;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
+    Shades<V, N> shades;
     Exact<V> places;
     const auto exactly = [&](std::int64_t number, int r, Vectors some) {
         evaluated += locate<V>(tile, number, level, r, some, places);
@@ -251,7 +394,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         const Trace& trace = job.traces[i];
         const real* table = job.table + i * job.trace_stride;
         double nearest;
-        const Reach where = reach(trace, job.model, centre, radius, nearest);
+        const Reach where = reach(trace, job.model, job.light, centre, radius, nearest);
         if (where == Reach::outside) continue;
         sums.next();
         if (!straight) {
@@ -262,43 +405,51 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         }
         if (level) levels<V>(*tile.weights, i, rows, count, scratch);
         bool whole = true;  // lines that have any vectors have all
+        bool shaded = false;
         for (int r = 0; r < rows; ++r) vectors[r] = {0, tile.active[r] ? at.used : 0};
-        if (where == Reach::across || nearest < job.model.near) {
+        if (where != Reach::inside || nearest < job.model.near) {
+            const Cut<V, N> cut{trace, job.model, job.light, segments, count, shades};
             alignas(64) double least[2][tile_rows], most[2][tile_rows];
             distances(trace.tx, segments, rows, least[0], most[0]);
             if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
             const int home = monostatic ? 0 : 1;
             const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
             bool any = false;
+            shades.fading = false;
             for (int r = 0; r < rows; ++r) {
                 if (vectors[r].end == 0) continue;
+                shades.of[r] = Shade::none;
                 const Reach heard =
                     window(trace, job.model, speed, least[0][r] + least[home][r], most[0][r] + most[home][r]);
                 const double middle = (count - 1) / 2.0;
-                const Reach lit =
-                    reach(trace, job.model, segments, r, middle, middle, count, Reach::inside, Reach::across);
+                const Reach lit = Piece(trace, segments, r, middle, middle, count).lit(trace, job.light);
                 const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
-                if (heard != Reach::inside || lit != Reach::inside || !far) {
+                int dark = 0;
+                if (heard == Reach::inside && lit == Reach::fading && far && job.light.quick) {
+                    shades.of[r] = Shade::fading;
+                    shades.fading = true;
+                } else if (heard != Reach::inside || lit != Reach::inside || !far) {
                     vectors[r] = {0, 0};
                     if (heard == Reach::outside || lit == Reach::outside) continue;
-                    vectors[r] = split<V>(trace, job.model, segments, r, count, heard, lit, far,
-                                          [&](Vectors some) { exactly(i, r, some); });
+                    vectors[r] = cut(r, heard, lit, far, dark, [&](Vectors some) { exactly(i, r, some); });
                 }
                 if (vectors[r].end == 0) continue;
                 const int last = vectors[r].end * V::n;
-                evaluated += (last < count ? last : count) - vectors[r].begin * V::n;
+                evaluated += (last < count ? last : count) - vectors[r].begin * V::n - dark;
                 any = true;
+                shaded = shaded || shades.of[r] != Shade::none;
                 whole = whole && vectors[r].begin == 0 && vectors[r].end == at.used;
             }
             if (!any) continue;
+            if (shades.fading) sines<V, N>(job, trace, at, rows, shades);
         } else {
             evaluated += static_cast<std::int64_t>(active) * count;
         }
         const double span = polynomials<V, N>(job, trace, at, rows, poly);
-        // how many registers hold what a vector of pixels reads, if any number does
+        // as many registers as the window of each vector of pixels needs; gathers take any number
         const int wide = span < V::n - 0.5 ? 1 : span < 2 * V::n - 0.5 ? 2 : span < 4 * V::n - 0.5 ? 3 : 0;
         const auto lines = whole ? add.whole[wide] : add.part[wide == 1];
-        lines(tile, table, poly, level, x, vectors);
+        evaluated -= lines(tile, table, poly, level, shaded ? &shades : nullptr, x, vectors);
     }
     sums.finish();
     tile.evaluated = evaluated;

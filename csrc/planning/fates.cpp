@@ -207,7 +207,7 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
         const Point& middle = tiled.middle[tile];
         const double radius = tiled.radius[tile], ground = ground_between(middle, group.centre);
         const double away = std::hypot(std::max(ground - radius, 0.0), lowest);
-        bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
+        bool read = away >= near && away - reach >= least && radius <= wide * ground && model.beam.shape == no_beam;
         read =
             read && group.distance(middle) - radius - reach >= layout.apart && on_planes(&tiled.corners[each * tile]);
         const auto [inside, heard] = records(middle, radius, more, read);
