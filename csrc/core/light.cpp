@@ -66,6 +66,7 @@ Light light_of(const Beam& beam) {
 
 double fit_powers(const Beam& beam, Light& light) {
     light.quick = false;
+    light.per = 1;
     if (light.shape != fan || light.terms == 0) return 0;
     const double width = light.sine_half - light.sine_full;
     light.per = 1 / width;

@@ -297,45 +297,60 @@ int shade_each(const Trace& trace, const Light& light, const Segments& lines, in
     return dark;
 }
 
-// A line of a tile that the beam or the record's ends cut, or that is too near for its polynomial.
+// How vectors of a line lie in a fan, by the sines at their ends: `slack` is what these leave out between them.
 template <class V, int N>
-struct Cut {
-    const Trace& trace;
-    const Model& model;
-    const Light& light;
-    const Segments& lines;
-    int count;
-    Shades<V, N>& shades;
+struct Between {
+    double value[block / V::n + 1], slack, edge, full;
 
-    // The first run of vectors of line `r` that its polynomial serves (`far`: if any), while `exact` is given each run
-    // of the others; `dark` of their pixels weigh nothing.
-    template <class Exactly>
-    Vectors operator()(int r, Reach heard, Reach lit, bool far, int& dark, const Exactly& exactly) const {
-        Vectors kept = {0, 0}, exact = {0, 0};
-        if (lit != Reach::inside) shades.of[r] = light.quick && far ? Shade::fading : Shade::each;
-        for (int s = 0; s * V::n < count; ++s) {
-            const Piece part(trace, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
-            const Reach h = heard == Reach::across ? part.heard(trace, model) : heard;
-            const Reach l = lit == Reach::across ? part.lit(trace, light) : lit;
-            if (h == Reach::outside || l == Reach::outside) continue;
-            const bool served = far && h == Reach::inside && (kept.end == 0 || kept.end == s);
-            Vectors& run = served ? kept : exact;
-            if (!served && run.end > 0 && run.end < s) exactly(run);
-            if (run.end < s || run.end == 0) run.begin = s;
-            run.end = s + 1;
-            if (served && shades.of[r] == Shade::each) {
-                typename V::real* to = shades.each[r];
-                if (l == Reach::inside)
-                    V::store(to + s * V::n, V::set(1));
-                else
-                    dark += shade_each<V>(trace, light, lines, r, s, count, to);
-            }
+    Between(const Light& light, const Shades<V, N>& shades, const Places<V, N>& at, int r, double nearness)
+        : edge(light.per * light.sine_half), full(light.per * light.sine_full) {
+        double bend = 0;
+        for (int q = 1; q < N; ++q) bend += q * (q - 1.0) * ::fabs(static_cast<double>(shades.coefficient[q - 1][r]));
+        const double width = at.edge[1] - at.edge[0];
+        // what the polynomial is wrong by on a line half as long as `nearness` of its distance: see settings.cpp
+        const double wrong = light.per * 0.125 * nearness * nearness * nearness * nearness * nearness;
+        slack = bend * width * width / 8 + wrong + 1e-5 * edge;
+        for (int s = 0; s <= at.used; ++s) {
+            double sum = shades.coefficient[N - 2][r];
+            for (int q = N - 3; q >= 0; --q) sum = sum * at.edge[s] + shades.coefficient[q][r];
+            value[s] = sum * at.edge[s] + shades.middle[r];
         }
-        if (exact.end > 0) exactly(exact);
-        shades.fading = shades.fading || (kept.end > 0 && shades.of[r] == Shade::fading);
-        return kept;
+    }
+    Reach operator[](int s) const {
+        const double a = value[s], b = value[s + 1], left = ::fabs(a), right = ::fabs(b);
+        const double least = (a < 0) != (b < 0) ? 0 : left < right ? left : right;
+        if (least - slack > edge) return Reach::outside;
+        const double most = (left > right ? left : right) + slack;
+        return most < full ? Reach::inside : most < edge ? Reach::fading : Reach::across;
     }
 };
+
+// Vectors of line `r` that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
+// those that its polynomial serves (`far`: if any), while `exact` is given each run of the others. `heard` and `lit`
+// tell of a vector. `dark` of the pixels served weigh nothing.
+template <class V, int N, class Heard, class Lit, class Exactly>
+Vectors cut(const Trace& trace, const Light& light, const Segments& lines, int r, int count, bool far,
+            const Heard& heard, const Lit& lit, Shades<V, N>& shades, int& dark, const Exactly& exactly) {
+    Vectors kept = {0, 0}, exact = {0, 0};
+    for (int s = 0; s * V::n < count; ++s) {
+        const Reach h = heard(s), l = lit(s);
+        if (h == Reach::outside || l == Reach::outside) continue;
+        const bool served = far && h == Reach::inside && (kept.end == 0 || kept.end == s);
+        Vectors& run = served ? kept : exact;
+        if (!served && run.end > 0 && run.end < s) exactly(run);
+        if (run.end < s || run.end == 0) run.begin = s;
+        run.end = s + 1;
+        if (served && shades.of[r] == Shade::each) {
+            typename V::real* to = shades.each[r];
+            if (l == Reach::inside)
+                V::store(to + s * V::n, V::set(1));
+            else
+                dark += shade_each<V>(trace, light, lines, r, s, count, to);
+        }
+    }
+    if (exact.end > 0) exactly(exact);
+    return kept;
+}
 
 template <class V, int N>
 void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
@@ -370,6 +385,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
                 reach2 += half * half;
             }
             segments.scale[r] = reach2 > 0 ? 1 / (4 * reach2) : 0.0;
+            segments.half[r] = ::sqrt(reach2);
         }
         radius = sphere(corners[0], 2 * rows, centre);
     } else {
@@ -382,7 +398,9 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     Vectors vectors[tile_rows];
     Levels<V> scratch;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
+    const Light& light = job.light;
     Shades<V, N> shades;
+    Depths depths;
     Exact<V> places;
     const auto exactly = [&](std::int64_t number, int r, Vectors some) {
         evaluated += locate<V>(tile, number, level, r, some, places);
@@ -393,9 +411,15 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     for (std::int64_t i = 0; i < job.n_trace; ++i) {
         const Trace& trace = job.traces[i];
         const real* table = job.table + i * job.trace_stride;
-        double nearest;
-        const Reach where = reach(trace, job.model, job.light, centre, radius, nearest);
-        if (where == Reach::outside) continue;
+        const double there = norm(centre[0] - trace.tx[0], centre[1] - trace.tx[1], centre[2] - trace.tx[2]);
+        const double back = norm(centre[0] - trace.rx[0], centre[1] - trace.rx[1], centre[2] - trace.rx[2]);
+        const Reach lit = lit_of(trace, light, centre, radius, there);
+        if (lit == Reach::outside) continue;
+        const double out = there > radius ? there - radius : 0.0, home = back > radius ? back - radius : 0.0;
+        const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
+        const Reach heard = window(trace, job.model, speed, out + home, there + back + 2 * radius);
+        if (heard == Reach::outside) continue;
+        const double nearest = out < home ? out : home;
         sums.next();
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
@@ -407,31 +431,51 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         bool whole = true;  // lines that have any vectors have all
         bool shaded = false;
         for (int r = 0; r < rows; ++r) vectors[r] = {0, tile.active[r] ? at.used : 0};
-        if (where != Reach::inside || nearest < job.model.near) {
-            const Cut<V, N> cut{trace, job.model, job.light, segments, count, shades};
+        const bool near = nearest < job.model.near;
+        if (lit != Reach::inside || heard != Reach::inside || near) {
             alignas(64) double least[2][tile_rows], most[2][tile_rows];
-            distances(trace.tx, segments, rows, least[0], most[0]);
-            if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
-            const int home = monostatic ? 0 : 1;
-            const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
+            const int own = monostatic ? 0 : 1;
+            if (heard != Reach::inside || near) {
+                distances(trace.tx, segments, rows, least[0], most[0]);
+                if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
+            }
+            const bool fades = light.shape == fan && lit != Reach::inside;
+            if (fades) sines<V, N>(job, trace, at, rows, shades);
+            if (lit != Reach::inside) depths.measure(trace, light, segments, rows);
             bool any = false;
-            shades.fading = false;
             for (int r = 0; r < rows; ++r) {
                 if (vectors[r].end == 0) continue;
-                shades.of[r] = Shade::none;
-                const Reach heard =
-                    window(trace, job.model, speed, least[0][r] + least[home][r], most[0][r] + most[home][r]);
-                const double middle = (count - 1) / 2.0;
-                const Reach lit = Piece(trace, segments, r, middle, middle, count).lit(trace, job.light);
-                const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
+                const Reach line_lit = lit == Reach::inside ? lit : depths[r];
+                const Reach line_heard =
+                    heard == Reach::inside
+                        ? heard
+                        : window(trace, job.model, speed, least[0][r] + least[own][r], most[0][r] + most[own][r]);
+                const bool far = !near || (least[0][r] >= job.model.near && least[own][r] >= job.model.near);
                 int dark = 0;
-                if (heard == Reach::inside && lit == Reach::fading && far && job.light.quick) {
-                    shades.of[r] = Shade::fading;
-                    shades.fading = true;
-                } else if (heard != Reach::inside || lit != Reach::inside || !far) {
+                shades.of[r] = line_lit == Reach::inside ? Shade::none
+                               : light.quick && far      ? Shade::fading
+                                                         : Shade::each;
+                const bool quickly = line_lit == Reach::inside || (line_lit == Reach::fading && light.quick);
+                if (line_heard != Reach::inside || !quickly || !far) {
                     vectors[r] = {0, 0};
-                    if (heard == Reach::outside || lit == Reach::outside) continue;
-                    vectors[r] = cut(r, heard, lit, far, dark, [&](Vectors some) { exactly(i, r, some); });
+                    if (line_heard == Reach::outside || line_lit == Reach::outside) continue;
+                    const auto piece = [&](int s) {
+                        return Piece(trace, segments, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
+                    };
+                    const auto when = [&](int s) {
+                        return line_heard == Reach::across ? piece(s).heard(trace, job.model) : line_heard;
+                    };
+                    const auto run = [&](const auto& where) {
+                        return cut<V, N>(trace, light, segments, r, count, far, when, where, shades, dark,
+                                         [&](Vectors some) { exactly(i, r, some); });
+                    };
+                    if (line_lit == Reach::across && fades && far && depths.before[r] > depths.reach[r]) {
+                        const Between<V, N> between(light, shades, at, r, segments.half[r] / nearest);
+                        vectors[r] = run([&](int s) { return between[s]; });
+                    } else {
+                        vectors[r] = run(
+                            [&](int s) { return line_lit == Reach::across ? piece(s).lit(trace, light) : line_lit; });
+                    }
                 }
                 if (vectors[r].end == 0) continue;
                 const int last = vectors[r].end * V::n;
@@ -441,7 +485,6 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
                 whole = whole && vectors[r].begin == 0 && vectors[r].end == at.used;
             }
             if (!any) continue;
-            if (shades.fading) sines<V, N>(job, trace, at, rows, shades);
         } else {
             evaluated += static_cast<std::int64_t>(active) * count;
         }

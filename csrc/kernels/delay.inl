@@ -55,14 +55,10 @@ inline Reach window(const Trace& g, const Model& model, double speed, double lea
     return low >= edge_margin && high <= model.last - edge_margin ? Reach::inside : Reach::across;
 }
 
-inline Reach both(Reach one, Reach other) {
-    if (one == Reach::outside || other == Reach::outside) return Reach::outside;
-    return one == Reach::inside ? other : one;
-}
-
 // Lines of a tile from end to end.
 struct Segments {
     alignas(64) double begin[3][tile_rows], along[3][tile_rows], scale[tile_rows];  // 1 / along^2
+    alignas(64) double half[tile_rows];                                             // of their lengths
 };
 
 // Least distance of each line from a sensor, and largest, which is that of an end. Spheres about lines that look along

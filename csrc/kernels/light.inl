@@ -59,18 +59,44 @@ inline Double::vec brightness(const Trace& g, const Light& light, const Double::
     return V::mul(counts, V::mul(V::mul(e, e), q));
 }
 
-// Whether a sphere lies outside, inside or across the record's window and the beam; `nearest`: its least distance.
-inline Reach reach(const Trace& g, const Model& model, const Light& light, const double centre[3], double radius,
-                   double& nearest) {
-    const double there = norm(centre[0] - g.tx[0], centre[1] - g.tx[1], centre[2] - g.tx[2]);
-    const double back = norm(centre[0] - g.rx[0], centre[1] - g.rx[1], centre[2] - g.rx[2]);
-    const double least = there < back ? there : back;
-    nearest = least > radius ? least - radius : 0.0;
-    const double out = there > radius ? there - radius : 0.0, home = back > radius ? back - radius : 0.0;
-    const double speed = norm(g.velocity[0], g.velocity[1], g.velocity[2]);
-    return both(window(g, model, speed, out + home, there + back + 2 * radius),
-                lit_of(g, light, centre, radius, there));
-}
+// The same of lines of a tile: how deep their middles lie within the edge and where all is lit alike, before the
+// transmitter, and what their halves reach.
+struct Depths {
+    alignas(64) double edge[tile_rows], full[tile_rows], before[tile_rows], reach[tile_rows];
+
+    void measure(const Trace& g, const Light& light, const Segments& lines, int rows) {
+        using V = Double;
+        using vec = V::vec;
+        const bool flat = light.shape == fan;
+        const vec zero = V::set(0.0);
+        for (int r = 0; r < rows; r += V::n) {
+            vec known = zero, look = zero, there2 = zero;
+            for (int axis = 0; axis < 3; ++axis) {
+                const vec middle = V::fma(V::set(0.5), V::load(lines.along[axis] + r), V::load(lines.begin[axis] + r));
+                const vec d = V::sub(middle, V::set(g.tx[axis]));
+                look = V::fma(d, V::set(g.boresight[axis]), look);
+                known = V::fma(d, V::set(g.axis[axis]), known);
+                there2 = V::fma(d, d, there2);
+            }
+            if (!flat) known = look;
+            const vec rest = V::sqrt(V::max(zero, V::fnma(known, known, there2)));
+            const vec across = flat ? V::abs(known) : rest, along = flat ? rest : known;
+            const auto depth = [&](double sine, double cosine) {
+                return V::fma(along, V::set(sine), V::mul(across, V::set(-cosine)));
+            };
+            V::store(edge + r, depth(light.sine_half, light.cosine_half));
+            V::store(full + r, depth(light.sine_full, light.cosine_full));
+            V::store(before + r, flat ? look : V::set(1e300));
+            V::store(reach + r, V::fma(V::set(1e-7), V::sqrt(there2), V::load(lines.half + r)));
+        }
+    }
+
+    Reach operator[](int r) const {
+        if (edge[r] < -reach[r] || before[r] < -reach[r]) return Reach::outside;
+        if (edge[r] <= reach[r] || before[r] <= reach[r]) return Reach::across;
+        return full[r] > reach[r] ? Reach::inside : Reach::fading;
+    }
+};
 
 // A piece of a line of a tile: the sphere about its pixels, `half` of them either side of number `middle` of `count`.
 struct Piece {

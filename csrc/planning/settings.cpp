@@ -180,7 +180,7 @@ std::shared_ptr<const Filter> cheapest_filter(const Settings& s, const Scene& sc
 
 // Whether the powers of a fan that fades keep to their share of the budget.
 bool fades(const Scene& scene, double budget, bool narrow) {
-    return narrow && scene.light.per > 0 && scene.faded <= share_phase * budget;
+    return narrow && scene.light.shape == fan && scene.light.terms > 0 && scene.faded <= share_phase * budget;
 }
 
 // All but how samples are read.
