@@ -63,6 +63,8 @@ struct Double {
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_pd(a, b, c); }
     static vec div(vec a, vec b) { return _mm256_div_pd(a, b); }
     static vec sqrt(vec a) { return _mm256_sqrt_pd(a); }
+    static vec inverse_root(vec a) { return div(set(1.0), sqrt(max(a, set(1e-280)))); }
+    static vec root(vec a) { return sqrt(a); }
     static vec abs(vec a) { return _mm256_andnot_pd(set(-0.0), a); }
     static vec min(vec a, vec b) { return _mm256_min_pd(a, b); }
     static vec max(vec a, vec b) { return _mm256_max_pd(a, b); }

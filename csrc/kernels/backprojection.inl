@@ -133,10 +133,10 @@ void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<
             const vec x = D::sub(D::load(at.x[j] + r), D::set(trace.tx[0])),
                       y = D::sub(D::load(at.y[j] + r), D::set(trace.tx[1])),
                       z = D::sub(D::load(at.z[j] + r), D::set(trace.tx[2]));
-            const vec away = D::sqrt(D::fma(x, x, D::fma(y, y, D::mul(z, z))));
+            const vec near = D::mul(per, D::inverse_root(D::fma(x, x, D::fma(y, y, D::mul(z, z)))));
             const vec aside =
                 D::fma(x, D::set(trace.axis[0]), D::fma(y, D::set(trace.axis[1]), D::mul(z, D::set(trace.axis[2]))));
-            sine[j] = D::mul(per, D::div(aside, away));
+            sine[j] = D::mul(aside, near);
         }
         D::store(out.middle + r, sine[N / 2]);
         for (int q = 1; q < N; ++q) {

@@ -10,16 +10,16 @@ Double::vec delay(const Trace& trace, double c, Double::vec x, Double::vec y, Do
     const auto square = [](vec a, vec b, vec d) { return V::fma(a, a, V::fma(b, b, V::mul(d, d))); };
     const vec there2 =
         square(V::sub(x, V::set(trace.tx[0])), V::sub(y, V::set(trace.tx[1])), V::sub(z, V::set(trace.tx[2])));
-    if constexpr (K == Kind::monostatic) return V::mul(V::set(2.0 / c), V::sqrt(there2));
+    if constexpr (K == Kind::monostatic) return V::mul(V::set(2.0 / c), V::root(there2));
     const vec dx = V::sub(x, V::set(trace.rx[0])), dy = V::sub(y, V::set(trace.rx[1])),
               dz = V::sub(z, V::set(trace.rx[2]));
     const vec back2 = square(dx, dy, dz);
-    if constexpr (K == Kind::stop_and_hop) return V::mul(V::set(1.0 / c), V::add(V::sqrt(there2), V::sqrt(back2)));
+    if constexpr (K == Kind::stop_and_hop) return V::mul(V::set(1.0 / c), V::add(V::root(there2), V::root(back2)));
     const double* v = trace.velocity;
     const double a = c * c - (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
     const vec along = V::fma(dx, V::set(v[0]), V::fma(dy, V::set(v[1]), V::mul(dz, V::set(v[2]))));
-    const vec b = V::sub(V::mul(V::set(c), V::sqrt(there2)), along);
-    const vec root = V::sqrt(V::fma(b, b, V::mul(V::set(a), V::sub(back2, there2))));
+    const vec b = V::sub(V::mul(V::set(c), V::root(there2)), along);
+    const vec root = V::root(V::fma(b, b, V::mul(V::set(a), V::sub(back2, there2))));
     return V::mul(V::set(1.0 / a), V::add(b, root));
 }
 
@@ -82,7 +82,7 @@ inline void distances(const double sensor[3], const Segments& lines, int rows, d
             first = V::fma(d[axis], d[axis], first);
             last = V::fma(end, end, last);
         }
-        V::store(least + r, V::sqrt(nearest));
-        V::store(most + r, V::sqrt(V::max(first, last)));
+        V::store(least + r, V::root(nearest));
+        V::store(most + r, V::root(V::max(first, last)));
     }
 }

@@ -79,7 +79,7 @@ struct Depths {
                 there2 = V::fma(d, d, there2);
             }
             if (!flat) known = look;
-            const vec rest = V::sqrt(V::max(zero, V::fnma(known, known, there2)));
+            const vec rest = V::root(V::max(zero, V::fnma(known, known, there2)));
             const vec across = flat ? V::abs(known) : rest, along = flat ? rest : known;
             const auto depth = [&](double sine, double cosine) {
                 return V::fma(along, V::set(sine), V::mul(across, V::set(-cosine)));
@@ -87,7 +87,7 @@ struct Depths {
             V::store(edge + r, depth(light.sine_half, light.cosine_half));
             V::store(full + r, depth(light.sine_full, light.cosine_full));
             V::store(before + r, flat ? look : V::set(1e300));
-            V::store(reach + r, V::fma(V::set(1e-7), V::sqrt(there2), V::load(lines.half + r)));
+            V::store(reach + r, V::fma(V::set(1e-7), V::root(there2), V::load(lines.half + r)));
         }
     }
 
