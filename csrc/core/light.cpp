@@ -103,6 +103,18 @@ bool lights(const Light& light, const Trace& trace, const double (&away)[3]) {
     return p.across * light.cosine_half <= p.along * light.sine_half;
 }
 
+// By distances to the surfaces of cones, see kernels/light.inl.
+Lit lit(const Light& light, const Trace& trace, const double (&away)[3], double radius) {
+    if (light.shape == no_beam) return Lit::alike;
+    const Parts p = parts(light.shape, trace, away);
+    const double edge = p.along * light.sine_half - p.across * light.cosine_half;
+    const bool flat = light.shape == fan;
+    if (edge < -radius || (flat && p.before < -radius)) return Lit::nowhere;
+    if (flat && p.before <= radius) return Lit::cut;
+    if (p.along * light.sine_full - p.across * light.cosine_full > radius) return Lit::alike;
+    return light.terms > 0 ? Lit::fading : Lit::cut;
+}
+
 double brightness(const Beam& beam, const Trace& trace, const double (&away)[3]) {
     const Parts p = parts(beam.shape, trace, away);
     if (beam.shape == no_beam || beam.half_angle <= beam.full_angle) return 1;

@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <iterator>
 
+#include "core/polynomials.hpp"
+
 namespace pysas {
 namespace {
 
@@ -30,6 +32,10 @@ std::int64_t guard(double error) {
 double tree_error(const TapDesign& taps, std::size_t stages) {
     return 1.2 * std::sqrt(static_cast<double>(stages)) * std::hypot(taps.worst, taps.rms);
 }
+
+// The weight's second derivative jumps by (pi/width)^2/2 at either end of the taper: from there its spectrum falls as
+// that over (2 pi k)^3, of which all beyond +-k, in cycles a radian, sums up to 1/(16 pi width^2 k^2) at the jump.
+double taper_band(double width, double error) { return 2 * pi / (4 * width * std::sqrt(pi * error)); }
 
 // They take a twentieth of the budget where 32 are few enough: shorter ones cost more time than they give.
 std::int64_t longest_run(double budget, int sums) {

@@ -11,6 +11,9 @@ namespace pysas {
 std::int64_t guard(double error);
 // Of a tree's interpolation in `stages` of it.
 double tree_error(const TapDesign& taps, std::size_t stages);
+// Radians a radian that a beam's taper over `width` adds to the band across rays, so that what lies beyond is at most
+// `error` of a term.
+double taper_band(double width, double error);
 // Traces that `sums` running sums in float a pixel may have before they are added to sums in double, and what they
 // lose.
 std::int64_t longest_run(double budget, int sums);

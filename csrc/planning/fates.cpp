@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/light.hpp"
 #include "core/polynomials.hpp"
 #include "planning/draw.hpp"
 
@@ -99,6 +100,45 @@ class Records {
     double about_ = 0, soonest_ = HUGE_VAL, latest_ = -HUGE_VAL, fastest_ = 0;
 };
 
+// How a group's transmitters light pixels.
+class Beams {
+  public:
+    Beams(const Scene& scene, const Numbers& traces) : light_(scene.light) {
+        if (light_.shape == no_beam) return;
+        Numbers pings;
+        for (const std::int64_t i : traces) pings.push_back(i / scene.survey.channels);
+        for (std::size_t k = 0; k < traces.size(); ++k) {  // traces of a ping stand side by side or nearly
+            if (k > 0 && std::find(pings.begin(), pings.begin() + static_cast<std::ptrdiff_t>(k), pings[k]) !=
+                             pings.begin() + static_cast<std::ptrdiff_t>(k))
+                continue;
+            traces_.push_back(&scene.survey.traces[static_cast<std::size_t>(traces[k])]);
+        }
+    }
+
+    struct State {
+        bool lit, whole;  // by any; and where weights have no step
+    };
+    State operator()(const Point& middle, double radius) const {
+        State state{traces_.empty(), true};
+        bool dark = false, alike = false;
+        for (const Trace* trace : traces_) {
+            const Point away = middle - point(trace->tx);
+            const Lit found = lit(light_, *trace, {away.x, away.y, away.z}, radius);
+            state.lit = state.lit || found != Lit::nowhere;
+            state.whole = state.whole && found != Lit::cut;
+            dark = dark || found == Lit::nowhere;
+            alike = alike || found == Lit::alike;
+        }
+        // nodes hold weights that fade, or none at all
+        if (light_.terms == 0 && dark && alike) state.whole = false;
+        return state;
+    }
+
+  private:
+    Light light_;
+    std::vector<const Trace*> traces_;
+};
+
 // What a group's transmitters and receivers together lie beside its axis for pixels `closest` m beside it, at most.
 double off_axis(const Scene& scene, const Group& group, double closest) {
     double most = 0;
@@ -169,7 +209,7 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
     return {};
 }
 
-// None is read across a beam's edge, where the sum has a step.
+// None is read across a hard edge of a beam, where the sum has a step.
 Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
                const std::vector<double>& planes, const Layout& layout, double step, double near) {
     const Model& model = scene.survey.model;
@@ -189,6 +229,7 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
     const double least = std::max(std::hypot(apart, highest), layout.clear);
     const double more = std::max(2 * reach, layout.ends * model.c / model.fs + 2 * taps * step);
     const Records records(scene, group.traces);
+    const Beams beams(scene, group.traces);
     std::vector<Onto> stack;
     if (!tiled.flat) {
         for (const double plane : planes) stack.emplace_back(group, plane);
@@ -207,7 +248,9 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
         const Point& middle = tiled.middle[tile];
         const double radius = tiled.radius[tile], ground = ground_between(middle, group.centre);
         const double away = std::hypot(std::max(ground - radius, 0.0), lowest);
-        bool read = away >= near && away - reach >= least && radius <= wide * ground && model.beam.shape == no_beam;
+        const auto [lit, whole] = beams(middle, radius);
+        if (!lit) continue;
+        bool read = away >= near && away - reach >= least && radius <= wide * ground && whole;
         read =
             read && group.distance(middle) - radius - reach >= layout.apart && on_planes(&tiled.corners[each * tile]);
         const auto [inside, heard] = records(middle, radius, more, read);
