@@ -173,6 +173,27 @@ std::optional<Onto::Found> Onto::operator()(const Point& p) const {
                  std::min(std::abs(off), std::abs(side))};
 }
 
+// Sine of the angle between a group's axis and those of its fans, at most: what a fan's weights turn with the angle
+// about the group's axis. Those of cones are not alike at one range and one place along it: 1.
+double askew(const Scene& scene, const Group& group) {
+    if (scene.light.terms == 0) return 0;
+    if (scene.light.shape != fan) return 1;
+    double most = 0;
+    for (const std::int64_t i : group.traces) {
+        const Point axis = point(scene.survey.traces[static_cast<std::size_t>(i)].axis);
+        const Point across = axis - dot(axis, group.axis) * group.axis;
+        most = std::max(most, length(across));
+    }
+    return most;
+}
+
+// What the weights of a taper over `width` are wrong by where the angle off the beam is by up to `angle` what `count`
+// planes tell: their slope times that, or, where planes tell the slope, their second derivative's jump.
+double weights_wrong(double width, double angle, int count) {
+    const double slope = pi / 2 * angle / width;
+    return angle == 0 ? 0 : count == 1 ? slope : slope * slope / 2;
+}
+
 // At one range and one place along its axis a group's phases turn with the angle about that axis by what its
 // transmitters and receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev
 // nodes lacks a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2
@@ -181,7 +202,7 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
     const Survey& survey = scene.survey;
     const double highest = 2 * pi * (survey.model.fc + survey.band * survey.model.fs) / survey.model.c;
     const auto each = static_cast<std::size_t>(tiled.each);
-    double low = HUGE_VAL, high = -HUGE_VAL, most = 0;
+    double low = HUGE_VAL, high = -HUGE_VAL, most = 0, turned = 0;
     for (std::size_t i = 0; i < tiled.corners.size(); ++i) {
         if (tiled.pixels[i / each] == 0) continue;
         low = std::min(low, tiled.corners[i].z);
@@ -194,13 +215,16 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
             if (const double found = beside(onto, group, &tiled.corners[i], tiled.each); found > 0)
                 closest = std::min(closest, found);
         }
-        if (closest < HUGE_VAL)
+        if (closest < HUGE_VAL) {
             most = std::max(most, highest * off_axis(scene, group, closest) * (high - low) / 2 / closest);
+            turned = std::max(turned, askew(scene, group) * (high - low) / 2 / closest);
+        }
     }
+    const double width = survey.model.beam.half_angle - survey.model.beam.full_angle;
     double lacking = 2;
     for (int count = 1; count <= most_planes; ++count) {
         lacking *= most / count / 2;
-        if (!(lacking <= error)) continue;
+        if (!(lacking + weights_wrong(width, turned, count) <= error)) continue;
         std::vector<double> heights;
         for (int k = count - 1; k >= 0; --k)
             heights.push_back((low + high) / 2 + (high - low) / 2 * std::cos(pi * (2 * k + 1) / (2 * count)));

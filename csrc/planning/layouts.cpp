@@ -202,7 +202,7 @@ double seconds_of(const Scene& scene, const Sight& sight, const Layout& layout, 
     const double step = survey.model.c / (4 * half * rate), shortest = survey.model.c / (survey.model.fc + half);
     const double mean = sight.area / std::max(sight.spread, 1e-9);  // length of a ray in the image
     const auto nodes = [&](double longest) {
-        const double beam = std::min(widest_beam, 1 / (rate * (2 * longest / shortest + layout.fading / pi)));
+        const double beam = std::min(widest_beam, pi / held_across(2 * pi * longest / shortest, rate, layout.fading));
         return (sight.spread / beam + reach) *
                (std::min(mean + reach * beam * mean, sight.depth + mean) / step + reach);
     };
@@ -298,7 +298,8 @@ std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kind
         for (const auto& [fans, taps] : kinds) {
             const Beam& beam = scene.survey.model.beam;
             const double each = faded / static_cast<double>(fans.size() + 1);
-            const double fading = faded > 0 ? taper_band(beam.half_angle - beam.full_angle, each) : 0;
+            const Fading fading =
+                faded > 0 ? Fading{beam.half_angle - beam.full_angle, beam.full_angle, each} : Fading{};
             const Layout layout{sight.length, fans, taps, spare, fading, 0, 0, 0};
             const double trees = seconds_of(scene, sight, layout, costs);
             const double cost = trees + (1 - sight.served) * direct;

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "planning/bounds.hpp"
 #include "planning/costs.hpp"
 #include "planning/scene.hpp"
 #include "planning/taps.hpp"
@@ -13,12 +14,14 @@ namespace pysas {
 
 // How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
 // nodes must have from the centre of the longest group, `apart` from those of its parts, m; `ends`: samples that a
-// place must lie inside of records; `fading`: what a beam's taper adds to the band across rays, rad a rad.
+// place must lie inside of records; `fading`: of beams, on each level.
 struct Layout {
     double length;
     std::vector<int> fans;
     TapDesign taps;
-    double spare, fading, clear, apart, ends;
+    double spare;
+    Fading fading;
+    double clear, apart, ends;
 };
 
 using Kinds = std::vector<std::pair<std::vector<int>, TapDesign>>;
