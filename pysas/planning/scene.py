@@ -110,17 +110,18 @@ class Scene:
         """About the share of (trace, pixel) pairs within record and beam: the terms."""
         # a stride might meet one channel alone
         some = np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)
-        _, lit = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
-        return float(np.mean(lit)) if lit.size else 0.0
+        _, share = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
+        return float(np.mean(share > 0)) if share.size else 0.0
 
     def read(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do.
+
+        The latter by what their beams leave of them, 0 to 1, and 0 beyond the records' ends.
+        """
         some = self.trace.take(traces)
-        tx, rx, velocity, boresight, axis = (
-            some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis")
-        )
+        tx, rx, velocity, boresight, axis = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis"))
         pixel = [pixels[:, k][pick] for k in range(3)]
         away = [pixel[k] - tx[k] for k in range(3)]
         out = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
@@ -131,16 +132,21 @@ class Scene:
                 home = [pixel[k] - rx[k] - (velocity[k] * late if self.kind == MOVING else 0.0) for k in range(3)]
                 back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
         index = ((out + back) / self.c - some["t0"][:, None]) * self.fs
-        lit = (index >= 0) & (index <= self.n_sample - 1)
-        if self.beamed:
-            before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
-            half = float(self.beam["half_angle"])
-            if self.beam["shape"] == CONE:
-                lit &= before >= np.cos(half) * out
-            else:
-                aside = away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2]
-                lit &= (before >= 0) & (np.abs(aside) <= np.sin(half) * out)
-        return index, lit
+        heard = (index >= 0) & (index <= self.n_sample - 1)
+        if not self.beamed:
+            return index, heard.astype(np.float64)
+        before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
+        if self.beam["shape"] == CONE:
+            angle = np.arctan2(np.sqrt(np.maximum(out**2 - before**2, 0)), before)
+        else:
+            aside = np.abs(away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2])
+            angle = np.arctan2(aside, np.sqrt(np.maximum(out**2 - aside**2, 0)))
+            heard &= before >= -beams.EDGE_ANGLE * out
+        half, full = float(self.beam["half_angle"]), float(self.beam["full_angle"])
+        share: FloatArray = np.where(heard & (angle <= half), 1.0, 0.0)
+        if full < half:
+            share *= np.cos(np.pi / 2 * np.clip((angle - full) / (half - full), 0, 1)) ** 2
+        return index, share
 
     @property
     def beamed(self) -> bool:
