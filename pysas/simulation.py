@@ -21,6 +21,7 @@ from numba import njit
 
 from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import EDGE_ANGLE, FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM, WINDOWS
 
@@ -31,6 +32,9 @@ _RESTART = 64  # samples of the phase recurrence between exact values: its error
 _RECT, _GAUSSIAN, _TUKEY, _TAYLOR = (WINDOWS.index(name) for name in ("rect", "gaussian", "tukey", "taylor"))
 # columns of an element's row: boresight, along and up (3 each), length, height
 _LENGTH, _HEIGHT, _ELEMENT = 9, 10, 11
+# of a beam's row: what of boresight lies across the axis, the axis, their normal and boresight (3 each)
+_BORESIGHT, _LAMP = 9, 12
+_DARK, _ROUND, _LONG = 0, 1, 2  # no beam, a cone, a fan
 
 Complex = npt.NDArray[np.complex128]
 
@@ -116,6 +120,7 @@ def simulate(
     progress: Callable[[float], object] | None = None,
     ping_time: npt.ArrayLike | None = None,
     attrs: Mapping[str, Any] | None = None,
+    beam: Beam | None = None,
 ) -> Echoes:
     """Raw echoes of point targets.
 
@@ -163,11 +168,15 @@ def simulate(
         Called with the fraction done now and then.
     ping_time, attrs
         As in `Echoes`.
+    beam : Beam, optional
+        Multiplies the echoes of a point by what the beam weighs in its direction from the transmitter, two-way and the same at
+        all frequencies; those outside it are left out. Stands beside the elements' patterns, which follow frequency: with
+        `tx_element` give it where the echoes shall be cut as the sonar's processing cuts them, else in place of elements.
 
     Returns
     -------
     Echoes
-        With compressed=False and `pulse`.
+        With compressed=False, `pulse` and `beam`.
 
     Raises
     ------
@@ -205,12 +214,14 @@ def simulate(
         if element is not None and not isinstance(element, Element):
             raise TypeError(f"{name}={element!r}: expected a pysas.simulation.Element or None")
         elements.append(np.zeros((n_ping, _ELEMENT)) if element is None else element._rows(name, n_ping))
+    if beam is not None and not isinstance(beam, Beam):
+        raise TypeError(f"beam={beam!r}: expected a pysas.Beam or None")
     shape = (*receivers.shape[:-1], _n_sample(duration, fs, pulse))
     geometry: dict[str, Any] = {"tx": transmitters, "rx": receivers, "t0": t0, "velocity": velocity, "ping_time": ping_time}
     data = np.zeros(shape, dtype=_complex_type(dtype))
     # validates what is left before the work starts; the samples are filled in below
     extra = {} if attrs is None else attrs
-    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, **geometry)
+    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, beam=beam, **geometry)
     share = _aliased(pulse, fc, fs)
     if share > _ALIASED:
         warnings.warn(
@@ -223,9 +234,26 @@ def simulate(
     power = _fill(echoes, place, strength, bool(spreading), elements, directive, workers, progress)
     if snr_db is not None:
         if not power > 0:
-            raise ValueError(f"snr_db={snr_db!r}: no echo lies in the record: expected a signal to measure noise against")
+            where = "the record" if beam is None else "the record and the beam"
+            raise ValueError(f"snr_db={snr_db!r}: no echo lies in {where}: expected a signal to measure noise against")
         _add_noise(echoes.traces, power * 10 ** (-snr_db / 10), seed, workers)
     return echoes
+
+
+def _lamp(beam: Beam | None, n_ping: int) -> tuple[FloatArray, tuple[int, float, float]]:
+    """(ping, _LAMP) rows for the kernel, and a beam's kind, half-angle and taper."""
+    if beam is None:
+        return np.zeros((n_ping, _LAMP)), (_DARK, 0.0, 0.0)
+    look = np.broadcast_to(beam.boresights, (n_ping, 3))
+    if beam.shape == FAN:
+        kind, axis = _LONG, np.broadcast_to(beam.axes, (n_ping, 3))
+        middle = np.cross(axis, np.cross(look, axis))
+    else:  # any axis across boresight
+        kind, axis = _ROUND, np.cross(look, np.eye(3)[np.argmin(np.abs(look), axis=1)])
+        axis, middle = axis / np.linalg.norm(axis, axis=1, keepdims=True), look
+    middle = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+    rows = np.concatenate([middle, axis, np.cross(middle, axis), look], axis=1)
+    return rows, (kind, beam.half_angle, beam.taper)
 
 
 def _amplitudes(value: npt.ArrayLike, n_point: int) -> Complex:
@@ -293,6 +321,7 @@ def _fill(
     tx, rx, start = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C"), np.array(echoes.start_time)
     moving = echoes.receiver_velocity
     velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
+    lamps, beam = _lamp(echoes.beam, n_ping)
     model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
     cost = (16 + 2 * model[3] * echoes.fs) * (1 + 4 * sum(directive))  # of an echo, in samples without a pattern
     step = max(1, int(_TASK_SAMPLES / cost))
@@ -308,7 +337,7 @@ def _fill(
         geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
         faces = (elements[0][ping], elements[1][ping])
         last = min(first + step, len(points))
-        what = (geometry, model, window, terms, spreading, faces, directive)
+        what = (geometry, model, window, terms, spreading, faces, directive, lamps[ping], beam)
         bad = _pool.call(_add_echoes, row, points, amplitudes, first, last, *what)
         if bad >= 0:
             clashes.append((ping, channel, bad))  # the first is told, whichever thread was faster
@@ -412,6 +441,28 @@ def _look(directive, face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
+def _lit(beam, lamp, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """What a beam weighs in a direction, from its components along what `lamp` holds."""
+    kind, half, taper = beam
+    if kind == _DARK:
+        return 1.0
+    ahead = dx * lamp[0] + dy * lamp[1] + dz * lamp[2]
+    aside = dx * lamp[3] + dy * lamp[4] + dz * lamp[5]
+    across = dx * lamp[6] + dy * lamp[7] + dz * lamp[8]
+    if kind == _ROUND:
+        alpha = math.atan2(math.hypot(aside, across), ahead)
+    else:
+        alpha = math.atan2(abs(aside), math.hypot(ahead, across))
+        before = dx * lamp[_BORESIGHT] + dy * lamp[_BORESIGHT + 1] + dz * lamp[_BORESIGHT + 2]
+        if before < -EDGE_ANGLE * math.sqrt(dx * dx + dy * dy + dz * dz):
+            return 0.0
+    if taper == 0.0:
+        return 1.0 if alpha <= half + EDGE_ANGLE else 0.0
+    ramp = 1 - (half - alpha) / (taper * half)
+    return 1.0 if ramp <= 0.0 else 0.0 if ramp >= 1.0 else 0.5 + 0.5 * math.cos(math.pi * ramp)
+
+
+@njit(nogil=True, cache=True)
 def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
     """Envelope at time `u` from the pulse's centre, inside its support."""
     if window == _GAUSSIAN:
@@ -427,7 +478,7 @@ def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _add_echoes(  # type: ignore[no-untyped-def]
-    sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive
+    sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive, lamp, beam
 ):
     """Add the echoes of points first ... last - 1 to one trace. Returns -1, or a point without distance for `spreading`.
 
@@ -464,6 +515,10 @@ def _add_echoes(  # type: ignore[no-untyped-def]
         before_rx, along_rx, up_rx = _look(directive[1], faces[1], dx, dy, dz, c)
         if not (before_tx and before_rx):
             continue
+        weight = _lit(beam, lamp, x - tx[0], y - tx[1], z - tx[2])
+        if weight == 0.0:
+            continue
+        amplitude *= weight
         across[0], across[1], across[2], across[3] = along_tx, up_tx, along_rx, up_rx
         patterned = along_tx != 0.0 or up_tx != 0.0 or along_rx != 0.0 or up_rx != 0.0
         amplitude *= _turn(-fc * tau)
