@@ -81,7 +81,12 @@ FAULTS: dict[str, tuple[pysas.Echoes, str, str, str]] = {
     "band": (survey(bandwidth=38e3), "range sampling", "FAIL", "below 1.1"),
     "beam ahead": (survey(beam=pysas.Beam([1, 0.2, -0.2], 0.3, 0.3)), "beam", "warn", "looks along it"),
     "cone ahead": (survey(beam=pysas.Beam([1, 0.2, 0], 0.3, 0.3, "cone")), "beam", "warn", "looks along it"),
-    "beam across": (survey(beam=pysas.Beam([0, 1, 0], 0.3, 0.3, axis=[0, 0, 1])), "beam", "warn", "axis as given: 0, 0, 1; its middle"),
+    "beam across": (
+        survey(beam=pysas.Beam([0, 1, 0], 0.3, 0.3, axis=[0, 0, 1])),
+        "beam",
+        "warn",
+        "axis as given: 0, 0, 1; its middle",
+    ),
     "yawing beam": (survey(beam=pysas.Beam(yawing(), 0.3, 0.3)), "beam", "warn", "turns by 22.9 deg first before ping 30"),
     "yawing cone": (survey(beam=pysas.Beam(yawing(), 0.3, 0.3, "cone")), "beam", "warn", "turns by 22.9 deg"),
     "other side": (survey(beam=pysas.Beam(yawing(np.pi), 0.3, 0.3)), "beam", "warn", "turns by 180 deg first before ping 30"),
