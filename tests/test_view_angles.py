@@ -288,7 +288,8 @@ def crossing_case(name, seed):
     channels = int(rng.choice([1, 1, 2]))
     beam = None
     if rng.random() < 0.3:
-        beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=rng.uniform(0.4, 1.5))
+        half = rng.uniform(0.4, 1.5)
+        beam = pysas.Beam([0.0, 1.0, 0.0], 0.1, half, "fan" if half < 1 else "cone", 0.5 if half % 0.2 < 0.1 else 0.0)
     x, y = np.round(rng.uniform((-6, 2), (6, 14)), 1)  # round: pixels lie on tracks and in line with them
     step, width = rng.choice([0.02, 0.05, 0.25]), int(rng.choice([1, 9, 33, 70]))
     grid = pysas.Grid.plane(x + step * np.arange(width), y + step * np.arange(int(rng.choice([1, 12]))))
@@ -309,10 +310,11 @@ def test_tracks_that_cross_themselves_keep_tol(name, seed, engine):
         assert truth[2] == 0 or error(image, truth) < tol
 
 
-def test_beams_edges_across_the_image(engine):
+@pytest.mark.parametrize(("shape", "taper"), [("fan", 0.0), ("fan", 0.6), ("cone", 0.0), ("cone", 0.6)])
+def test_beams_edges_across_the_image(engine, shape, taper):
     """Each view that comes in or goes changes the mean of those that light a pixel."""
     tx = line(120, 30)
-    beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=0.3)
+    beam = pysas.Beam([0.0, 1.0, 0.0], 0.1, 0.3, shape, taper)
     grid = pysas.Grid.plane(0.05 * np.arange(64), 20 + 0.05 * np.arange(20))
     echoes = noise_from(tx, grid, beam=beam)
     truth = exact(echoes, grid, 40)
