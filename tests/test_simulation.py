@@ -13,7 +13,8 @@ import pytest
 
 from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
-from pysas.simulation import AliasingWarning, Element, _aliased, _delays, simulate
+from pysas.signal.echoing import delays
+from pysas.simulation import AliasingWarning, Element, _aliased, simulate
 
 FloatArray = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -67,7 +68,7 @@ def test_delay_is_the_root_of_the_quadratic(speed: float) -> None:
     points = rng.uniform(-300.0, 300.0, (1000, 3)) + [0.0, 400.0, 0.0]
     tx, rx, direction = rng.normal(0.0, 1.0, (3, 3))
     v = speed * direction / np.linalg.norm(direction)
-    np.testing.assert_allclose(_delays(points, tx, rx, v, C), closed_form(points, tx, rx, v, C), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(delays(points, tx, rx, v, C), closed_form(points, tx, rx, v, C), rtol=0, atol=1e-14)
 
 
 @ALIASED
