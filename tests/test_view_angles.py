@@ -9,7 +9,7 @@ from test_tolerance import engine
 import pysas
 from pysas import circular
 from pysas.engine import engine_of, native
-from pysas.engine.traces import TRACE
+from pysas.engine.traces import BEAM, CONE, FAN, TRACE, record
 from pysas.planning import view_angles
 from pysas.planning.scene import Scene
 
@@ -389,11 +389,11 @@ def test_a_plan_tells_of_them():
         assert not pysas.backproject(echoes, outside, weights=UNIFORM).data.any()
 
 
-def test_the_narrowest_beams_hold_what_kernels_take(engine):
+@pytest.mark.parametrize("shape", [CONE, FAN])
+def test_the_narrowest_beams_hold_what_kernels_take(engine, shape):
     """Edges a part in 10^4 from a point, which cosines of 2e-7 rad do not tell apart: of the views lit the mean is 1."""
     rng = np.random.default_rng(3)
-    cosine = float(np.cos(2e-7))
-    limit = np.arcsin(np.sqrt((1 - cosine) * (1 + cosine)))
+    limit = 2e-7
     trace = np.zeros(400, TRACE)
     turn = np.sort(rng.uniform(0, 6, 400))
     towards = -np.stack([np.cos(turn), np.sin(turn), 0.3 + 0 * turn], axis=1) / np.hypot(1, 0.3)
@@ -403,6 +403,8 @@ def test_the_narrowest_beams_hold_what_kernels_take(engine):
     point = np.array([[1.25, -0.5, 0.75]])
     trace["tx"] = trace["rx"] = point - 8 * towards
     trace["boresight"] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
+    trace["axis"] = np.cos(angle)[:, None] * aside - np.sin(angle)[:, None] * towards
     found = np.empty((1, 400))
-    engine_of(engine).arcs(trace, 1, cosine, point, np.arange(400), found, 1)
+    beam = record(BEAM, shape=shape, half_angle=limit, full_angle=limit)
+    engine_of(engine).arcs(trace, 1, beam, point, np.arange(400), found, 1)
     np.testing.assert_allclose(np.mean(found[0, lit]), 1, rtol=1e-12)
