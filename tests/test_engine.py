@@ -8,7 +8,7 @@ import pytest
 import pysas
 from pysas import _checks, _pool
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP, _numba, backend_name, native, preparation, summation
-from pysas.engine.traces import BLOCK, MODEL, TILE_ROWS, TRACE, place, reals, record
+from pysas.engine.traces import BEAM, BLOCK, MODEL, NO_BEAM, TILE_ROWS, TRACE, place, reals, record
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
