@@ -86,7 +86,7 @@ def test_pixels_on_a_beams_edge_count(library, half):
     def lit(survey, lines, options):
         survey.boresight, survey.beam_half_angle = keep.ctypes.data, half
 
-    exact, level = pysas.reference.exact(echoes.replace(beam=pysas.Beam(bore, 0.1, half)), grid)
+    exact, level = pysas.reference.exact(echoes.replace(beam=pysas.Beam(bore, 0.1, half, "cone")), grid)
     assert np.all(level[0] > 0)
     found = image(library, echoes, grid, 1e-3, True, lit)
     assert pysas.metrics.relative_error(found, exact, level) <= 1e-3
@@ -307,7 +307,7 @@ def test_ffbp_with_weights_mask_and_beam(library):
     exact, level = pysas.reference.exact(echoes, masked, pixels, weights)
     assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
     boresight = np.tile(np.array([0.0, 1.0, -0.25]) / np.hypot(1, 0.25), (48, 1))
-    beam = echoes.replace(beam=pysas.Beam(boresight[0], 0.05, np.radians(9.0)))
+    beam = echoes.replace(beam=pysas.Beam(boresight[0], 0.05, np.radians(9.0), "cone"))
     shares = []
 
     def narrow(survey, lines, options):

@@ -66,7 +66,7 @@ def masked(width, height):
 
 
 SQUARE = pysas.Grid.plane((np.arange(256) - 128) * STEP, (np.arange(256) - 128) * STEP)
-LIT = pysas.Beam((0.0, 1.0, 0.0), 0.1, 0.3)
+LIT = pysas.Beam((0.0, 1.0, 0.0), 0.1, 0.3, "cone")
 SCENES = {
     "one receiver": (monostatic, plane(400, 380), {}),
     "six moving receivers": (six_receivers, plane(300, 200), {}),

@@ -71,7 +71,7 @@ def echoes(
             "truth_amplitude": amplitudes[:targets].real,
         },
     )
-    # the beam's cone also holds the seabed's spread of depression angles
+    # of a face without height, which lights all depressions: first nulls lie at 17 degrees, first side lobes' peaks at 25
     return raw.replace(beam=Beam(np.array(boresight), size, float(np.radians(25.0))))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pysas._checks import FloatArray
 from pysas.engine import Parts
 from pysas.engine.survey import rows_per_task
 from pysas.model.grid import Grid
@@ -22,11 +23,13 @@ from pysas.planning.settings import Choices, reader_of
 class Terms:
     """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
 
-    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
+    power : what their beams leave of each, squared; heard, edges : all traces that pixels hear, and the least and the largest
+    place (2, trace) that any pixel can read there.
     """
 
     trace: npt.NDArray[np.int64]
     place: npt.NDArray[np.int64]
+    power: FloatArray
     heard: npt.NDArray[np.int64]
     edges: npt.NDArray[np.int64]
 

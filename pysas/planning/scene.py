@@ -19,6 +19,7 @@ from pysas.model.grid import Grid
 UNIFORM = "uniform-angle"
 SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
 DRAWN = 4096  # pixels whose terms are looked at when data arrive
+PAIRS = 2**21  # of pixels and traces looked at where no term was found
 
 
 class Scene:
@@ -110,17 +111,28 @@ class Scene:
         """About the share of (trace, pixel) pairs within record and beam: the terms."""
         # a stride might meet one channel alone
         some = np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)
-        _, lit = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
-        return float(np.mean(lit)) if lit.size else 0.0
+        _, share = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
+        return float(np.mean(share > 0)) if share.size else 0.0
 
     def read(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do.
+
+        The latter by what their beams leave of them, 0 to 1, and 0 beyond the records' ends.
+        """
+        index, share = self._look(traces, pixels, pick)
+        return index, np.where(self._within(index), share, 0.0)
+
+    def _within(self, index: FloatArray) -> npt.NDArray[np.bool_]:
+        return np.asarray((index >= 0) & (index <= self.n_sample - 1))
+
+    def _look(
+        self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same whatever the records' ends."""
         some = self.trace.take(traces)
-        tx, rx, velocity, boresight, axis = (
-            some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis")
-        )
+        tx, rx, velocity, boresight, axis = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis"))
         pixel = [pixels[:, k][pick] for k in range(3)]
         away = [pixel[k] - tx[k] for k in range(3)]
         out = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
@@ -131,16 +143,20 @@ class Scene:
                 home = [pixel[k] - rx[k] - (velocity[k] * late if self.kind == MOVING else 0.0) for k in range(3)]
                 back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
         index = ((out + back) / self.c - some["t0"][:, None]) * self.fs
-        lit = (index >= 0) & (index <= self.n_sample - 1)
-        if self.beamed:
-            before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
-            half = float(self.beam["half_angle"])
-            if self.beam["shape"] == CONE:
-                lit &= before >= np.cos(half) * out
-            else:
-                aside = away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2]
-                lit &= (before >= 0) & (np.abs(aside) <= np.sin(half) * out)
-        return index, lit
+        if not self.beamed:
+            return index, np.ones(index.shape)
+        before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
+        if self.beam["shape"] == CONE:
+            angle = np.arctan2(np.sqrt(np.maximum(out**2 - before**2, 0)), before)
+        else:
+            aside = np.abs(away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2])
+            angle = np.arctan2(aside, np.sqrt(np.maximum(out**2 - aside**2, 0)))
+            angle[before < -beams.EDGE_ANGLE * out] = np.inf
+        half, full = float(self.beam["half_angle"]), float(self.beam["full_angle"])
+        share: FloatArray = np.where(angle <= half, 1.0, 0.0)
+        if full < half:
+            share *= np.cos(np.pi / 2 * np.clip((angle - full) / (half - full), 0, 1)) ** 2
+        return index, share
 
     @property
     def beamed(self) -> bool:
@@ -183,17 +199,26 @@ class Scene:
         found = ", ".join(f"{np.count_nonzero(c)} {text}" for c, text in counts if c.any())
         return f"no trace is left of {self.traces}: {found}: image is zero"
 
-    def why_dark(self) -> str:
-        """Why no pixel has a term although traces are left."""
-        if not self.beamed:
-            return "no pixel lies within the recorded window of any trace left: image is zero"
-        heard = False
-        for one in self.trace:
-            away = [np.linalg.norm(self._pixels - one[name], axis=1) for name in ("tx", "rx")]
-            index = ((away[0] + away[1]) / self.c - one["t0"]) * self.fs
-            heard = heard or bool(np.any((index >= 0) & (index <= self.n_sample - 1)))
-        what = "beam" if heard else "beam and recorded window"
-        return f"no pixel lies within the {what} of any trace left: image is zero"
+    def why_dark(self, finite: npt.NDArray[np.bool_] | None = None) -> str:
+        """Why no pixel has a term although traces are left, of all or of those that are `finite`.
+
+        Looked at in all pairs of them, or in PAIRS of pixels and traces all over where there are more.
+        """
+        left = np.flatnonzero(self.heard & (self.weights != 0) & (True if finite is None else finite))
+        pixels = self.drawn
+        if self.pixels * left.size <= PAIRS:
+            pixels = self._draw(self.pixels, 1)
+        left = left[_spread(min(left.size, max(1, PAIRS // len(pixels))), left.size, 1)]
+        heard = lit = False
+        for trace in left[:, None]:
+            index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
+            heard, lit = heard or bool(np.any(self._within(index))), lit or bool(np.any(share > 0))
+        within = "the recorded window"
+        if heard and lit:
+            within = "the beam and at once within the recorded window"
+        elif not lit:
+            within = "the beam" if heard else "the beam or the recorded window"
+        return f"no pixel lies within {within} of any trace left: image is zero"
 
 
 def _lights(trace: Records, fan: bool, angle: float, low: FloatArray, high: FloatArray) -> bool:
