@@ -83,8 +83,9 @@ def row(receivers, length, relief, method, tol, threads, pixels, **beam):
     error = error_of(image, echoes, grid, pixels) if pixels else np.nan
     rate = report.terms / spent / threads
     return [
-        receivers, f"{length:g}", f"{relief:g}", method, report.method, f"{tol:g}", threads, f"{plan.predicted_seconds:.2f}", f"{spent:.2f}",
-        f"{covered / spent:.2f}", f"{report.terms / grid.size:.0f}", f"{rate / 1e9:.2f}", f"{report.factorised_share:.2f}", f"{error:.1e}",
+        receivers, f"{length:g}", f"{relief:g}", method, report.method, f"{tol:g}", threads,
+        f"{plan.predicted_seconds:.2f}", f"{spent:.2f}", f"{covered / spent:.2f}", f"{report.terms / grid.size:.0f}",
+        f"{rate / 1e9:.2f}", f"{report.factorised_share:.2f}", f"{error:.1e}",
         f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10:.0f}",
     ]  # fmt: skip
 
@@ -114,9 +115,8 @@ def main():
             for tol in args.tol:
                 for method in args.methods:
                     for threads in args.threads:
-                        cells = row(
-                            receivers, args.length, relief, method, tol, threads, args.pixels, taper=args.taper, shape=args.shape
-                        )  # fmt: skip
+                        beam = {"taper": args.taper, "shape": args.shape}
+                        cells = row(receivers, args.length, relief, method, tol, threads, args.pixels, **beam)
                         print("| " + " | ".join(map(str, cells)) + " |", flush=True)
 
 
