@@ -66,7 +66,7 @@ class Interpreted:
 
     @property
     def trees(self) -> int:
-        return len(self.forest.trees) if self.forest is not None else 0
+        return len(self.forest.sub_images) if self.forest is not None else 0
 
     @property
     def seconds(self) -> float:
@@ -105,7 +105,7 @@ class Interpreted:
         c = self.choices
         rounds = -(-self.scene.traces // c.batch)
         if self.forest is not None:
-            rounds += max(len(section.trees) for section in self.forest.sections)
+            rounds += len(self.forest.groups)
         return bool(self.dtype == np.complex64 and rounds > c.run // 8)
 
     @property
