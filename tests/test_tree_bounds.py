@@ -134,7 +134,9 @@ def test_over_sampled_records_that_begin_beside_the_image(monkeypatch, over, tol
     assert error(image) <= 1
 
 
-@pytest.mark.parametrize("width, rate, half", [(6, 1.2, 8), (6, 1.45, 8), (8, 1.4, 10), (8, 1.6, 10)])
+@pytest.mark.parametrize(
+    "width, rate, half", [(6, 1.2, 8), (6, 1.45, 8), (8, 1.4, 10), (8, 1.6, 10), (8, 1.31, 8), (8, 1.7, 8)]
+)
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, np.pi / 2])
 @pytest.mark.parametrize("length", [0.05, 0.3, 1.5, 8.0])
 def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, bearing, length):

@@ -27,7 +27,7 @@ def accumulate(
 ) -> Totals:
     """Add all traces `used` to `image` (line, pixel): group by group to a polar grid for each plane, which is then read, and
     directly to the tiles that are not. `add` sums some traces on a raster."""
-    wave, carrier, taps = 2 * plan.scene.fc / plan.scene.c, bounds.trigonometry(6)[0], forest.taps
+    wave, carrier, raster = 2 * plan.scene.fc / plan.scene.c, bounds.trigonometry(6)[0], forest.tiles.raster
     totals, step = Totals(0.0, 0.0, 0), 1 / len(forest.groups)
     for number, group in enumerate(forest.groups):
         order = group.order[used[group.order]]
@@ -40,11 +40,11 @@ def accumulate(
 
         for sub in group.sub_images:
             held = np.zeros(sub.grid.shape, dtype=np.complex64)
-            nodes = forest.raster.along(sub.grid.lines(), sub.grid.shape[1], forest.block).of(sub.nodes)
-            totals = totals.more(add(order, nodes, held, tick), order.size * int(forest.wanted[sub.tiles].sum()))
+            nodes = raster.along(sub.grid.lines(), sub.grid.shape[1], forest.block).of(sub.nodes)
+            totals = totals.more(add(order, nodes, held, tick), order.size * forest.pixels(sub.tiles))
             clock = time.perf_counter()
-            plan.engine.read(held, sub.grid, taps, wave, carrier, forest.raster.of(sub.tiles), image, plan.threads)
+            plan.engine.read(held, sub.grid, forest.taps, wave, carrier, raster.of(sub.tiles), image, plan.threads)
             totals = totals.more(Totals(0.0, time.perf_counter() - clock, 0))
         if group.direct.any():
-            totals = totals.more(add(order, forest.raster.of(group.direct), image, tick))
+            totals = totals.more(add(order, raster.of(group.direct), image, tick))
     return totals

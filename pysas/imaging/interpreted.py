@@ -52,7 +52,7 @@ class Interpreted:
 
     def __post_init__(self) -> None:
         self.dtype = self.scene.dtype
-        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.raster
+        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.tiles.raster
         self.reader = reader_of(self.choices)
         self.rule = planner.rule(self.method == "auto")
 

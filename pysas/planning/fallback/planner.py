@@ -13,7 +13,7 @@ from pysas.planning.scene import Scene
 from pysas.planning.settings import Choices
 
 TERMS = 2**26  # of an image, from which "auto" takes trees
-RULE = f"trees from {TERMS:.2g} terms on, if they serve half of them and half as many are summed for that"
+RULE = f"trees from {TERMS:.2g} terms on, if they serve half of them, by half as many sums at their nodes"
 # rough times, ns: a term and a coefficient of the direct sum, a pixel read, a pixel's own view-angle weight
 TERM_NS, COEFFICIENT_NS, READ_NS, ARC_NS = 3.5, 9.6, 70.0, 60.0
 

@@ -28,10 +28,7 @@ from pysas.planning.subapertures import BoolArray, IntArray
 LEAVES, ENDS = 0.35, 0.2
 TOL, FARTHEST = 3e-5, 1e9  # float32 sub-images round too much below; wavelengths beyond which there are too many nodes
 RATES = (1.31, 1.43, 1.6, 1.7)  # nodes by what the band needs
-GROUP, LEAST = (
-    64,
-    32,
-)  # traces of a group: nodes and reads take about as long; reading a pixel takes as long as some twenty terms
+GROUP, LEAST = 64, 32  # traces of a group: its nodes cost about as much as its reads; as many terms as a read costs
 NEAR = 1.15  # a group's centre stays this many lengths away from what is read from it
 LINE = 192  # pixels of lines that blocks of any length divide
 LEAST_NODES, PAIRS = 1 << 22, 1 << 18  # that a sub-image of any image may have; traces and tiles at a time
@@ -57,24 +54,55 @@ class Group:
     direct: BoolArray
 
 
+class Tiles:
+    """An image's: spheres about them, pixels wanted of each, and the planes that they lie on whole."""
+
+    def __init__(self, raster: Raster) -> None:
+        self.raster, self.wanted = raster, raster.wanted()
+        self.middle, self.radius, self.level = raster.spheres()
+        self.planes = np.unique(self.middle[self.level & (self.wanted > 0), 2]).tolist()
+
+
 @dataclass
 class Forest:
-    """All sub-images of an image, the settings of the sums at their nodes and beside them, and how many terms and what share of
-    them are read from these; `block` : nodes in a row of a sub-image's tiles; `wanted` : pixels of each of the image's."""
+    """All sub-images of an image, whose tiles have rows of `block` nodes, and the settings of the sums at nodes and beside
+    them; `scene` : with the samples that nodes ask for."""
 
     scene: Scene
-    raster: Raster
+    tiles: Tiles
     block: int
-    wanted: IntArray
     taps: tree.Taps
     groups: list[Group]
     choices: Choices
-    terms: int
-    share: float
 
     @property
     def sub_images(self) -> list[SubImage]:
         return [sub for group in self.groups for sub in group.sub_images]
+
+    def pixels(self, chosen: BoolArray) -> int:
+        """Of some tiles, those wanted."""
+        return int(self.tiles.wanted[chosen].sum())
+
+    @property
+    def terms(self) -> int:
+        """That are read from sub-images."""
+        return sum(len(group.order) * self.pixels(sub.tiles) for group in self.groups for sub in group.sub_images)
+
+    @property
+    def share(self) -> float:
+        """The same of all terms."""
+        return self.terms / max(self.terms + sum(len(group.order) * self.pixels(group.direct) for group in self.groups), 1)
+
+    @property
+    def summed(self) -> int:
+        """Terms of the nodes."""
+        tiles = sum(len(group.order) * int(sub.nodes.sum()) for group in self.groups for sub in group.sub_images)
+        return TILE_ROWS * self.block * tiles
+
+    @property
+    def reads(self) -> int:
+        """Of pixels from sub-images."""
+        return sum(self.pixels(sub.tiles) for sub in self.sub_images)
 
     @property
     def reach(self) -> int:
@@ -85,17 +113,6 @@ class Forest:
     def store_bytes(self) -> int:
         """Of the sub-image alive at a time, and of what smooths it."""
         return 16 * max(math.prod(sub.grid.shape) for sub in self.sub_images)
-
-    @property
-    def summed(self) -> int:
-        """Terms of the nodes."""
-        tiles = sum(int(sub.nodes.sum()) * len(group.order) for group in self.groups for sub in group.sub_images)
-        return TILE_ROWS * self.block * tiles
-
-    @property
-    def reads(self) -> int:
-        """Of pixels from sub-images."""
-        return sum(int(self.wanted[sub.tiles].sum()) for sub in self.sub_images)
 
     def describe(self) -> list[str]:
         """The trees, for print(plan)."""
@@ -155,54 +172,51 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
     taps, block = taps_for(tol), choose(scene, tol, engine).block
     if not block:
         return None, "pixels or nodes too coarse for float32 blocks"
-    count = settings.even_split(scene.line_length, block)
-    raster, order = Raster(grid, scene, count), np.flatnonzero(scene.heard & (scene.weights != 0))
-    tiles = Tiles(raster)
+    tiles = Tiles(Raster(grid, scene, settings.even_split(scene.line_length, block)))
+    order = np.flatnonzero(scene.heard & (scene.weights != 0))
     if not (tiles.wanted.any() and order.size):
         return None, "there is nothing to sum"
     if not tiles.planes:
         return None, "lines of pixels on too many planes"
-    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0  # about what an echo takes
-    arrived = scene.trace["rx"] + delay * scene.trace["velocity"]
-    centres = (scene.trace["tx"] + arrived) / 2
-    pieces = subapertures.cut_track(
-        centres[order], order // scene.channels, scene.nearest / 2, -(-len(order) // GROUP), max(1, len(order) // LEAST)
-    )
-    if len(pieces) * LEAST > len(order) and not whole:
-        return None, LONGER
-    groups, terms, everything = [], 0, 0
     wider = copy.copy(scene)
     wider.first, wider.last = scene.first.copy(), scene.last.copy()
+    delay = (scene.nearest + scene.farthest) / scene.c if scene.kind == MOVING else 0.0  # about what an echo takes
+    ends = np.stack([scene.trace["tx"], scene.trace["rx"] + delay * scene.trace["velocity"]])
+    pieces = subapertures.cut_track(
+        ends.mean(axis=0)[order], order // scene.channels, scene.nearest / 2, -(-len(order) // GROUP),
+        max(1, len(order) // LEAST),
+    )  # fmt: skip
+    if len(pieces) * LEAST > len(order) and not whole:
+        return None, LONGER
+    forest = Forest(wider, tiles, block, taps, [], choose(scene, tol, engine))
     for piece in pieces:
-        part = order[piece]
-        centre = (centres[part].min(axis=0) + centres[part].max(axis=0)) / 2
-        away = max(float(np.linalg.norm(at[part] - centre, axis=1).max()) for at in (scene.trace["tx"], arrived))
-        read, direct = _fates(scene, part, centre, 2 * away, tiles, taps, tol)
-        found = []
-        for plane in tiles.planes:
-            chosen = read & (tiles.middle[:, 2] == plane)
-            if chosen.any():
-                sub = _sub_image(wider, part, centre, plane, chosen, tiles, taps, block)
-                if sub is None:
-                    return None, LONGER
-                found.append(sub)
-        groups.append(Group(part, 2 * away, found, direct))
-        terms += len(part) * int(tiles.wanted[read].sum())
-        everything += len(part) * int(tiles.wanted[read | direct].sum())
-    if terms == 0:
+        group = _group(forest, order[piece], ends[:, order[piece]], tol)
+        if group is None:
+            return None, LONGER
+        forest.groups.append(group)
+    share = forest.share
+    if share == 0:
         return None, NEAR_TRACK
-    if whole and terms < everything:
-        return None, f"{100 * (1 - terms / everything):.3g} % of the terms, {NEAR_TRACK}"
-    return Forest(wider, raster, block, tiles.wanted, taps, groups, choose(wider, tol, engine), terms, terms / everything), ""
+    if whole and share < 1:
+        return None, f"{100 * (1 - share):.3g} % of the terms, {NEAR_TRACK}"
+    forest.choices = choose(wider, tol, engine)
+    return forest, ""
 
 
-class Tiles:
-    """An image's: spheres about them, pixels wanted of each, and the planes that they lie on whole."""
-
-    def __init__(self, raster: Raster) -> None:
-        self.middle, self.radius, self.level = raster.spheres()
-        self.wanted = raster.wanted()
-        self.planes = np.unique(self.middle[self.level & (self.wanted > 0), 2]).tolist()
+def _group(forest: Forest, order: IntArray, ends: FloatArray, tol: float) -> Group | None:
+    """Traces with transmitters and receivers at `ends` (2, trace, 3), where they are; None where nodes were too many."""
+    centres, tiles, found = ends.mean(axis=0), forest.tiles, []
+    centre = (centres.min(axis=0) + centres.max(axis=0)) / 2
+    extent = 2 * float(np.linalg.norm(ends - centre, axis=-1).max())
+    read, direct = _fates(forest.scene, order, centre, extent, tiles, forest.taps, tol)
+    for plane in tiles.planes:
+        chosen = read & (tiles.middle[:, 2] == plane)
+        if chosen.any():
+            sub = _sub_image(forest, order, centre, plane, chosen)
+            if sub is None:
+                return None
+            found.append(sub)
+    return Group(order, extent, found, direct)
 
 
 def _fates(
@@ -239,18 +253,10 @@ def _within(scene: Scene, order: IntArray, middle: FloatArray, width: FloatArray
     return inside & heard, heard
 
 
-def _sub_image(
-    scene: Scene,
-    order: IntArray,
-    centre: FloatArray,
-    plane: float,
-    chosen: BoolArray,
-    tiles: Tiles,
-    taps: tree.Taps,
-    block: int,
-) -> SubImage | None:
-    """What a plane's chosen tiles are read from, its traces' windows in `scene` widened to hold it; None of too many nodes."""
-    trace, (middle, radius) = scene.trace.take(order), (tiles.middle[chosen], tiles.radius[chosen])
+def _sub_image(forest: Forest, order: IntArray, centre: FloatArray, plane: float, chosen: BoolArray) -> SubImage | None:
+    """What a plane's chosen tiles are read from, its traces' windows widened to hold it; None of too many nodes."""
+    scene, taps, tiles = forest.scene, forest.taps, forest.tiles
+    trace, middle, radius = scene.trace.take(order), tiles.middle[chosen], tiles.radius[chosen]
     grid = subapertures.polar(trace, centre, scene, plane, middle, radius, taps)
     if math.prod(grid.shape) > max(LEAST_NODES, scene.pixels):
         return None
@@ -260,4 +266,4 @@ def _sub_image(
     last = np.ceil(((2 * slant[-1] + apart) / (scene.c - speed) - trace["t0"]) * scene.fs).astype(np.int64)
     scene.first[order] = np.maximum(np.minimum(scene.first[order], first), 0)
     scene.last[order] = np.minimum(np.maximum(scene.last[order], last), scene.n_sample - 1)
-    return SubImage(grid, subapertures.needed(grid, middle, radius, taps, block), chosen)
+    return SubImage(grid, subapertures.needed(grid, middle, radius, taps, forest.block), chosen)
