@@ -136,16 +136,18 @@ def needed(grid: PolarGrid, middle: FloatArray, radius: FloatArray, taps: Taps, 
     """Which of a polar grid's own tiles, of `count` nodes of TILE_ROWS rays, hold nodes that tiles within circles ask for."""
     bearing, half, ground = _seen(grid.centre, grid.angle, middle, radius)
 
-    def cut(low: FloatArray, high: FloatArray, size: int) -> IntArray:
+    def cut(low: FloatArray, high: FloatArray, size: int) -> list[list[int]]:
         ends = [(low - taps.reach) // size, (high + taps.reach + 1) // size + 1]
-        return np.stack(ends, axis=1).astype(np.int64).clip(0)
+        found: list[list[int]] = np.stack(ends, axis=1).astype(np.int64).clip(0).tolist()
+        return found
 
     out = np.zeros((-(-grid.shape[0] // TILE_ROWS), -(-grid.shape[1] // count)), dtype=np.bool_)
     columns = cut((ground - radius - grid.near) / grid.step, (ground + radius - grid.near) / grid.step, count)
     for turn in (-2 * np.pi, 0.0, 2 * np.pi):  # the last tiles may reach beyond the first
         rows = cut((bearing - half + turn) / grid.beam, (bearing + half + turn) / grid.beam, TILE_ROWS)
         for (top, bottom), (left, right) in zip(rows, columns, strict=True):
-            out[top:bottom, left:right] = True
+            if bottom:
+                out[top:bottom, left:right] = True
     return out.ravel()
 
 

@@ -150,7 +150,7 @@ def why_not(scene: Scene, tol: float) -> str:
 
 def taps_for(tol: float) -> tree.Taps:
     """The fewest nodes whose interpolation leaves room for nodes' own errors and what rings of records' ends."""
-    found = [tree.taps(8, rate, 8) for rate in RATES]
+    found = (tree.taps(8, rate, 8) for rate in RATES)
     return next(taps for taps in found if math.hypot(bounds.tree_error(taps, 1), ENDS * tol) <= (1 - LEAVES) * tol)
 
 
