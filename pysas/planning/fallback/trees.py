@@ -31,7 +31,7 @@ RATES = (1.31, 1.43, 1.6, 1.7)  # nodes by what the band needs
 GROUP, LEAST = 64, 32  # traces of a group: its nodes cost about as much as its reads; as many terms as a read costs
 NEAR = 1.15  # a group's centre stays this many lengths away from what is read from it
 LINE = 192  # pixels of lines that blocks of any length divide
-LEAST_NODES, PAIRS = 1 << 22, 1 << 18  # that a sub-image of any image may have; traces and tiles at a time
+LEAST_NODES, PAIRS = 1 << 22, 1 << 18  # that sub-images of any image may have; traces and tiles at a time
 NEAR_TRACK, LONGER = "pixels too near the track, or across the ends of records", "a tree would take longer"
 
 
@@ -79,6 +79,10 @@ class Forest:
     def sub_images(self) -> list[SubImage]:
         return [sub for group in self.groups for sub in group.sub_images]
 
+    @property
+    def nodes(self) -> int:
+        return sum(math.prod(sub.grid.shape) for sub in self.sub_images)
+
     def pixels(self, chosen: BoolArray) -> int:
         """Of some tiles, those wanted."""
         return int(self.tiles.wanted[chosen].sum())
@@ -117,13 +121,13 @@ class Forest:
     def describe(self) -> list[str]:
         """The trees, for print(plan)."""
         found, traces = self.sub_images, sum(len(group.order) for group in self.groups)
-        longest, nodes = max(group.extent for group in self.groups), sum(math.prod(sub.grid.shape) for sub in found)
+        longest = max(group.extent for group in self.groups)
         return [
             f"  trees          {len(found)}, over groups of at most {longest:.3g} m, {self.taps.width} taps at "
             f"{self.taps.rate:.3g} x the band",
             f"  factorised     {100 * self.share:.1f} % of the terms, the rest summed directly",
             f"    level 0      {len(found)} sub-images of {traces / len(self.groups):.3g} traces each, "
-            f"{nodes / len(found):.3g} nodes",
+            f"{self.nodes / len(found):.3g} nodes",
         ]
 
 
@@ -194,6 +198,8 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
         if group is None:
             return None, LONGER
         forest.groups.append(group)
+        if forest.nodes > max(LEAST_NODES, scene.traces * scene.pixels):
+            return None, LONGER
     share = forest.share
     if share == 0:
         return None, NEAR_TRACK
