@@ -30,6 +30,7 @@ TOL, FARTHEST = 3e-5, 1e9  # float32 sub-images round too much below; wavelength
 RATES = (1.31, 1.43, 1.6, 1.7)  # nodes by what the band needs
 GROUP, LEAST = 64, 32  # traces of a group: its nodes cost about as much as its reads; as many terms as a read costs
 NEAR = 1.15  # a group's centre stays this many lengths away from what is read from it
+WIDE = 0.25  # a tile's radius, seen from a group, at most: rad
 LINE = 192  # pixels of lines that blocks of any length divide
 LEAST_NODES, PAIRS = 1 << 22, 1 << 18  # that sub-images of any image may have; traces and tiles at a time
 NEAR_TRACK, LONGER = "pixels too near the track, or across the ends of records", "a tree would take longer"
@@ -235,7 +236,8 @@ def _fates(
     reach = (taps.reach + 1) * step + taps.reach * scene.c / (scene.fc + scene.band * scene.fs) / (4 * taps.rate)
     ends = bounds.hushed(ENDS * tol, scene.band) * scene.c / scene.fs + 2 * taps.reach * step
     ground = np.linalg.norm(tiles.middle[:, :2] - centre[:2], axis=1)
-    read = tiles.level & (tiles.wanted > 0) & (ground - tiles.radius - reach >= NEAR * extent)
+    read = tiles.level & (tiles.wanted > 0) & (tiles.radius <= WIDE * ground)
+    read &= ground - tiles.radius - reach >= NEAR * extent
     direct, some = np.zeros_like(read), np.flatnonzero(tiles.wanted)
     inside, heard = _within(scene, order, tiles.middle[some], 2 * tiles.radius[some] + max(2 * reach, ends))
     read[some] &= inside
