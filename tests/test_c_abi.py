@@ -436,8 +436,9 @@ def test_surveys_of_older_callers_have_cones_with_hard_edges(library):
     "beam",
     [
         {"beam_shape": 2}, {"beam_shape": -1}, {"beam_half_angle": 1.6, "beam_shape": 1}, {"beam_taper": -0.1},
-        {"beam_taper": 1.1}, {"beam_taper": float("nan")}, {"beam_taper": 1e-6}, {"beam_shape": 1, "beam_axis": [0.0, 2.0, 0.0]},
-        {"beam_shape": 1, "beam_axis": [0.0, 0.0, 0.0]}, {"beam_shape": 1, "boresight": [0.0, 0.0, -1.0]},
+        {"beam_taper": 1.1}, {"beam_taper": float("nan")}, {"beam_taper": 1e-6},
+        {"beam_shape": 1, "beam_axis": [0.0, 2.0, 0.0]}, {"beam_shape": 1, "beam_axis": [0.0, 0.0, 0.0]},
+        {"beam_shape": 1, "boresight": [0.0, 0.0, -1.0]},
     ],
 )  # fmt: skip
 def test_beams_that_are_none(library, beam):

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine.steps import Setting, Steps
 from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
 from pysas.engine.traces import Records
+from pysas.engine.tree import PolarGrid, Taps
 
 Tick = Callable[[float], None] | None
 Places = FloatArray | tuple[FloatArray, FloatArray, FloatArray] | Callable[[npt.NDArray[np.int64]], FloatArray]
@@ -129,8 +129,14 @@ class Parts(Engine, Protocol):
         """Add traces `order` (flat ping-channel numbers; record i of survey.trace is order[i]) of `data` to `image` (line,
         pixel), which is left multiplied by `scale`."""
 
-    def steps(self, setting: Setting, reader: Any, room: int) -> Steps:
-        """The steps of trees, with tables of at most `room` traces at a time."""
+    def read(
+        self, held: ComplexArray, grid: PolarGrid, taps: Taps, wave: float, carrier: Trigonometry, raster: Raster,
+        image: ComplexArray, threads: int,
+    ) -> None:  # fmt: skip
+        """Add a sub-image, `held` (ray, node) as it was summed, at the pixels of raster.tiles() to `image` (line, pixel).
+
+        `held` is overwritten; `wave` : turns of the carrier a metre of range; `carrier` : sine and cosine for them.
+        """
 
 
 AnyEngine = Planning | Parts

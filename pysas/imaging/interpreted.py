@@ -55,7 +55,7 @@ class Interpreted:
 
     def __post_init__(self) -> None:
         self.dtype = self.scene.dtype
-        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.raster
+        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.tiles.raster
         self.reader = reader_of(self.choices)
         self.rule = planner.rule(self.method == "auto")
 
@@ -69,7 +69,7 @@ class Interpreted:
 
     @property
     def trees(self) -> int:
-        return len(self.forest.trees) if self.forest is not None else 0
+        return len(self.forest.sub_images) if self.forest is not None else 0
 
     @property
     def seconds(self) -> float:
@@ -108,7 +108,7 @@ class Interpreted:
         c = self.choices
         rounds = -(-self.scene.traces // c.batch)
         if self.forest is not None:
-            rounds += max(len(section.trees) for section in self.forest.sections)
+            rounds += len(self.forest.groups)
         return bool(self.dtype == np.complex64 and rounds > c.run // 8)
 
     @property

@@ -101,7 +101,7 @@ def _fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], 
         return plan
     asked = plan
     if plan.forest is not None:
-        reach = _tree_reach(plan)
+        reach = plan.forest.reach
         beside = weight * data.mean_squares(some.trace, some.place, reach)
         excess = math.sqrt(max(float(np.mean(beside)) - own**2, _outside(plan, data, reach, own)))
         squares = np.zeros(some.trace.size)
@@ -249,15 +249,6 @@ def _low_passed(plan: Interpreted, data: _Data, some: Terms) -> float:
     return float(np.mean(data.weight[some.trace] * some.power * squares))
 
 
-def _tree_reach(plan: Interpreted) -> int:
-    """Samples to each side of a term's that the nodes read for it hold."""
-    forest = plan.forest
-    if forest is None:
-        return 0
-    stages = len(forest.layout.fans) + 1
-    return math.ceil(stages * forest.layout.taps.reach / float(forest.rate))
-
-
 def _measured(
     plan: Interpreted, data: _Data, some: Terms, own: float, ends: FloatArray, alike: Callable[[], float]
 ) -> tuple[float, float]:
@@ -333,24 +324,14 @@ def _direct(plan: Interpreted) -> Interpreted:
 
 
 def _wide(plan: Interpreted, ends: float) -> Interpreted:
-    """The same with tables from whole records, whose ends are `ends` times as bright as what pixels read.
-
-    Without trees where their rate is too low for all that whole records hold.
-    """
+    """The same with tables from whole records, whose ends are `ends` times as bright as what pixels read."""
     ends = 10.0 ** math.ceil(math.log10(min(max(ends, 1.0), 1e12)))
     name = f"wide {plan.forest is not None} {ends:g}"
     found = plan.others.get(name)
     if found is None:
-        choices: Choices | None
-        if plan.forest is not None:
-            choices = planner.for_leaves(plan.scene, plan.budget, plan.engine, ends)
-        else:
-            choices = planner.choose(plan.scene, plan.budget, plan.engine, ends)
-        if choices is None:
-            found = _wide(_direct(plan), ends)
-        else:
-            found = _with(plan, _named(plan, choices))
-            found.reader = reader_of(found.choices)
+        settings = planner.choose if plan.forest is None else planner.for_leaves
+        found = _with(plan, _named(plan, settings(plan.scene, plan.budget, plan.engine, ends)))
+        found.reader = reader_of(found.choices)
         plan.others[name] = found
     return found
 
