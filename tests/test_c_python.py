@@ -72,7 +72,7 @@ LIT = pysas.Beam((0.0, 1.0, 0.0), 0.1, 0.3, "cone")
 def fading():
     angle = 0.01 * np.sin(np.arange(512))
     return pysas.Beam(
-        np.stack([-np.sin(angle), np.cos(angle), 0 * angle - 0.2], axis=1), 0.1, 0.2, "fan", 0.6,
+        np.stack([-np.sin(angle), np.cos(angle), 0 * angle - 0.2], axis=1), 0.1, 0.3, "fan", 0.6,
         np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1),
     )  # fmt: skip
 
