@@ -79,11 +79,7 @@ def ways(scene: Scene, everything: bool) -> list[Way]:
 
 
 def _expressible(scene: Scene) -> bool:
-    """Whether the C library's structs can say it: no complex or pixels' own weights, no traces to leave out, no beams but
-    cones with a hard edge."""
-    beam = scene.echoes.beam
-    if beam is not None and (beam.shape != "cone" or beam.taper > 0):
-        return False
+    """Whether the C library's structs can say it: no complex or pixels' own weights, no traces to leave out."""
     real = scene.weights is None or (isinstance(scene.weights, np.ndarray) and scene.weights.dtype.kind == "f")
     return real and scene.nan == "raise"
 
