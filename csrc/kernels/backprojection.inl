@@ -149,36 +149,47 @@ void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<
     }
 }
 
-// Weights of vectors of line `r` for a fan that fades; returns how many pixels weigh nothing.
+// Weights of vectors of a line for a fan that fades.
 template <class V, int N>
-int fade(const Light& light, const Shades<V, N>& shades, int r, Vectors vectors, int count, const typename V::real* x,
-         typename V::real* weight) {
+class Fade {
+  public:
     using real = typename V::real;
     using vec = typename V::vec;
-    vec c[N - 1], p[ramp_powers];
-    for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
-    for (int q = 0; q < ramp_powers; ++q) p[q] = V::set(static_cast<real>(light.power[q]));
-    const vec middle = V::set(shades.middle[r]), top = V::set(static_cast<real>(light.per * light.sine_half));
-    const vec zero = V::set(0), one = V::set(1);
-    for (int s = vectors.begin; s < vectors.end; ++s) {
-        const vec at = V::load(x + s * V::n);
-        vec sine = c[N - 2];
-        for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
-        sine = V::fma(sine, at, middle);
-        const vec e = V::max(zero, V::min(one, V::sub(top, V::abs(sine))));
-        vec w = p[ramp_powers - 1];
-        for (int q = ramp_powers - 2; q >= 0; --q) w = V::fma(w, e, p[q]);
-        V::store(weight + s * V::n, V::mul(w, V::mul(e, e)));
+
+    explicit Fade(const Light& light) : top_(V::set(static_cast<real>(light.per * light.sine_half))) {
+        for (int q = 0; q < ramp_powers; ++q) power_[q] = V::set(static_cast<real>(light.power[q]));
     }
-    const auto dark = [&](int s) {
-        int found = 0;
-        for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) found += weight[m] == 0;
-        return found;
-    };
-    // at a line's ends alone: a fan's middle lies between its edges
-    const int last = vectors.end - 1;
-    return dark(vectors.begin) + (last > vectors.begin ? dark(last) : 0);
-}
+
+    // Of line `r`; returns how many pixels weigh nothing.
+    int operator()(const Shades<V, N>& shades, int r, Vectors vectors, int count, const real* x, real* weight) const {
+        const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.middle[r]);
+        vec c[N - 1];
+        for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
+        for (int s = vectors.begin; s < vectors.end; ++s) {
+            const vec at = V::load(x + s * V::n);
+            vec sine = c[N - 2];
+            for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
+            sine = V::fma(sine, at, middle);
+            const vec e = V::max(zero, V::min(one, V::sub(top_, V::abs(sine)))), square = V::mul(e, e);
+            // in pairs: half as long a chain as one power after another
+            vec w = power_[ramp_powers - 1];
+            for (int q = ramp_powers - 3; q >= 0; q -= 2) w = V::fma(w, square, V::fma(power_[q + 1], e, power_[q]));
+            V::store(weight + s * V::n, V::mul(w, square));
+        }
+        const auto dark = [&](int s) {
+            int found = 0;
+            for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) found += weight[m] == 0;
+            return found;
+        };
+        // at a line's ends alone: a fan's middle lies between its edges
+        const int last = vectors.end - 1;
+        return dark(vectors.begin) + (last > vectors.begin ? dark(last) : 0);
+    }
+
+  private:
+    static_assert(ramp_powers % 2 == 1, "powers are taken in pairs after the last");
+    vec top_, power_[ramp_powers];
+};
 
 // Add one trace's terms of some vectors of a tile's lines, or (`Whole`: a sixth faster) of all of those lines that have
 // any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null; `shades`: what they weigh for the
@@ -198,6 +209,7 @@ std::int64_t add_lines(const TileJob<typename V::real>& tile, const typename V::
     const vec ratio = V::set(static_cast<real>(job.model.fc / (job.model.fs * job.model.rate)));
     const vec round = V::set(magic<real>());
     const vec lane = lanes<V>();
+    const Fade<V, N> fade(job.light);
     const int used = (tile.count + V::n - 1) / V::n;
     std::int64_t dark = 0;
     for (int r = 0; r < rows; ++r) {
@@ -207,7 +219,7 @@ std::int64_t add_lines(const TileJob<typename V::real>& tile, const typename V::
         const real* weight = nullptr;
         if (shades && shades->of[r] == Shade::each) weight = shades->each[r];
         if (shades && shades->of[r] == Shade::fading) {
-            dark += fade<V, N>(job.light, *shades, r, {begin, end}, tile.count, x, faded);
+            dark += fade(*shades, r, {begin, end}, tile.count, x, faded);
             weight = faded;
         }
         vec c[N - 1];
@@ -266,17 +278,15 @@ Adders<V, N> adders() {
             &add_exact<V, D, T>};
 }
 
-// Places of some of a line's pixels, from a transmitter.
-template <class V>
-void away_from(const Trace& trace, const Segments& lines, int r, int first, int count, Double::vec (&out)[3]) {
-    alignas(64) double at[Double::n];
+// Places of some of a line's pixels, the last again beyond it, from a transmitter.
+inline void away_from(const Trace& trace, const Segments& lines, int r, int first, int count, Double::vec (&out)[3]) {
+    using V = Double;
+    alignas(64) static constexpr double number[] = {0, 1, 2, 3, 4, 5, 6, 7};
+    static_assert(V::n <= 8, "numbers of all lanes");
+    const V::vec pixel = V::min(V::add(V::load(number), V::set(first)), V::set(count - 1));
     for (int axis = 0; axis < 3; ++axis) {
         const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
-        for (int i = 0; i < Double::n; ++i) {
-            const int pixel = first + i < count ? first + i : count - 1;
-            at[i] = lines.begin[axis][r] + pixel * step - trace.tx[axis];
-        }
-        out[axis] = Double::load(at);
+        out[axis] = V::fma(pixel, V::set(step), V::set(lines.begin[axis][r] - trace.tx[axis]));
     }
 }
 
@@ -287,7 +297,7 @@ int shade_each(const Trace& trace, const Light& light, const Segments& lines, in
     int dark = 0;
     for (int m = s * V::n; m < (s + 1) * V::n; m += Double::n) {
         Double::vec away[3], counts;
-        away_from<V>(trace, lines, r, m, count, away);
+        away_from(trace, lines, r, m, count, away);
         const Double::vec weight = brightness(trace, light, away, counts);
         alignas(64) double each[Double::n];
         Double::store(each, counts);
