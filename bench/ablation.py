@@ -122,7 +122,7 @@ def view_weights(scale):
 
 def beam(scale):
     echoes, grid = stripmap(scale)
-    return Job(echoes, grid), Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, 1.6)), grid)
+    return Job(echoes, grid), Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, 1.6, "cone")), grid)
 
 
 def out_of_beam(scale):
@@ -133,7 +133,7 @@ def out_of_beam(scale):
     edge = np.hypot(np.abs(echoes.tx[:, 0]) + abs(x[0]), 5.0) / np.sin(half_angle)
     ranges = 8.0 + STEP * np.arange(echoes.n_sample)
     echoes = echoes.replace(data=(echoes.data * fade((ranges - edge[:, None]) / STEP)).astype(np.complex64))
-    return Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, half_angle)), grid), Job(echoes, grid)
+    return Job(echoes.replace(beam=pysas.Beam((0, 1, 0), 0.04, half_angle, "cone")), grid), Job(echoes, grid)
 
 
 def out_of_window(scale):

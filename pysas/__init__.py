@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from pysas.formats.io import load, save
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
     from pysas.imaging.planner import plan
-    from pysas.model.echoes import Beam, Echoes
+    from pysas.model.beam import Beam
+    from pysas.model.echoes import Echoes
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
@@ -37,7 +38,8 @@ _MODULES = {
     "formats.io": ("load", "save"),
     "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),
     "imaging.planner": ("plan",),
-    "model.echoes": ("Beam", "Echoes"),
+    "model.beam": ("Beam",),
+    "model.echoes": ("Echoes",),
     "model.grid": ("Grid",),
     "model.image": ("Image", "Report"),
     "model.pulse": ("LFM",),

@@ -17,20 +17,17 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-from numba import njit
 
 from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM, WINDOWS
+from pysas.signal.echoing import DARK, ELEMENT, GAUSSIAN, LAMP, LONG, RECT, ROUND, TAYLOR, TUKEY, add_echoes, energy
 
 _TASK_SAMPLES = 1 << 21  # echo samples of one task: some tens of milliseconds
 _BLOCK_BYTES = 32 * 2**20  # of traces being summed in complex128
 _ALIASED = 1e-3  # share of the pulse's energy outside the sampled band that calls for a warning
-_RESTART = 64  # samples of the phase recurrence between exact values: its error grows as their square, to 5e-13
-_RECT, _GAUSSIAN, _TUKEY, _TAYLOR = (WINDOWS.index(name) for name in ("rect", "gaussian", "tukey", "taylor"))
-# columns of an element's row: boresight, along and up (3 each), length, height
-_LENGTH, _HEIGHT, _ELEMENT = 9, 10, 11
 
 Complex = npt.NDArray[np.complex128]
 
@@ -81,7 +78,7 @@ class Element:
             raise ValueError(f"along={self.along!r}: cosine {cosine:.3g} with boresight: expected right angles")
 
     def _rows(self, name: str, n_ping: int) -> FloatArray:
-        """(ping, _ELEMENT) rows for the kernel."""
+        """(ping, ELEMENT) rows for the kernel."""
         vectors = []
         for field in ("boresight", "along"):
             vector = np.asarray(getattr(self, field), dtype=np.float64)
@@ -116,6 +113,7 @@ def simulate(
     progress: Callable[[float], object] | None = None,
     ping_time: npt.ArrayLike | None = None,
     attrs: Mapping[str, Any] | None = None,
+    beam: Beam | None = None,
 ) -> Echoes:
     """Raw echoes of point targets.
 
@@ -163,11 +161,15 @@ def simulate(
         Called with the fraction done now and then.
     ping_time, attrs
         As in `Echoes`.
+    beam : Beam, optional
+        Multiplies the echoes of a point by what the beam weighs in its direction from the transmitter, two-way and the same at
+        all frequencies; those outside it are left out. Stands beside the elements' patterns, which follow frequency: with
+        `tx_element` give it where the echoes shall be cut as the sonar's processing cuts them, else in place of elements.
 
     Returns
     -------
     Echoes
-        With compressed=False and `pulse`.
+        With compressed=False, `pulse` and `beam`.
 
     Raises
     ------
@@ -204,13 +206,15 @@ def simulate(
     for name, element in (("tx_element", tx_element), ("rx_element", rx_element)):
         if element is not None and not isinstance(element, Element):
             raise TypeError(f"{name}={element!r}: expected a pysas.simulation.Element or None")
-        elements.append(np.zeros((n_ping, _ELEMENT)) if element is None else element._rows(name, n_ping))
+        elements.append(np.zeros((n_ping, ELEMENT)) if element is None else element._rows(name, n_ping))
+    if beam is not None and not isinstance(beam, Beam):
+        raise TypeError(f"beam={beam!r}: expected a pysas.Beam or None")
     shape = (*receivers.shape[:-1], _n_sample(duration, fs, pulse))
     geometry: dict[str, Any] = {"tx": transmitters, "rx": receivers, "t0": t0, "velocity": velocity, "ping_time": ping_time}
     data = np.zeros(shape, dtype=_complex_type(dtype))
     # validates what is left before the work starts; the samples are filled in below
     extra = {} if attrs is None else attrs
-    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, **geometry)
+    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, beam=beam, **geometry)
     share = _aliased(pulse, fc, fs)
     if share > _ALIASED:
         warnings.warn(
@@ -223,9 +227,26 @@ def simulate(
     power = _fill(echoes, place, strength, bool(spreading), elements, directive, workers, progress)
     if snr_db is not None:
         if not power > 0:
-            raise ValueError(f"snr_db={snr_db!r}: no echo lies in the record: expected a signal to measure noise against")
+            where = "the record" if beam is None else "the record and the beam"
+            raise ValueError(f"snr_db={snr_db!r}: no echo lies in {where}: expected a signal to measure noise against")
         _add_noise(echoes.traces, power * 10 ** (-snr_db / 10), seed, workers)
     return echoes
+
+
+def _lamp(beam: Beam | None, n_ping: int) -> tuple[FloatArray, tuple[int, float, float]]:
+    """(ping, LAMP) rows for the kernel, and a beam's kind, half-angle and taper."""
+    if beam is None:
+        return np.zeros((n_ping, LAMP)), (DARK, 0.0, 0.0)
+    look = np.broadcast_to(beam.boresights, (n_ping, 3))
+    if beam.shape == FAN:
+        kind, axis = LONG, np.broadcast_to(beam.axes, (n_ping, 3))
+        middle = np.cross(axis, np.cross(look, axis))
+    else:  # any axis across boresight
+        kind, axis = ROUND, np.cross(look, np.eye(3)[np.argmin(np.abs(look), axis=1)])
+        axis, middle = axis / np.linalg.norm(axis, axis=1, keepdims=True), look
+    middle = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+    rows = np.concatenate([middle, axis, np.cross(middle, axis), look], axis=1)
+    return rows, (kind, beam.half_angle, beam.taper)
 
 
 def _amplitudes(value: npt.ArrayLike, n_point: int) -> Complex:
@@ -293,6 +314,7 @@ def _fill(
     tx, rx, start = np.array(echoes.tx, order="C"), np.array(echoes.receivers, order="C"), np.array(echoes.start_time)
     moving = echoes.receiver_velocity
     velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
+    lamps, beam = _lamp(echoes.beam, n_ping)
     model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
     cost = (16 + 2 * model[3] * echoes.fs) * (1 + 4 * sum(directive))  # of an echo, in samples without a pattern
     step = max(1, int(_TASK_SAMPLES / cost))
@@ -308,12 +330,12 @@ def _fill(
         geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
         faces = (elements[0][ping], elements[1][ping])
         last = min(first + step, len(points))
-        what = (geometry, model, window, terms, spreading, faces, directive)
-        bad = _pool.call(_add_echoes, row, points, amplitudes, first, last, *what)
+        what = (geometry, model, window, terms, spreading, faces, directive, lamps[ping], beam)
+        bad = _pool.call(add_echoes, row, points, amplitudes, first, last, *what)
         if bad >= 0:
             clashes.append((ping, channel, bad))  # the first is told, whichever thread was faster
         if last == len(points):
-            power[trace] = _pool.call(_power, row)
+            power[trace] = _pool.call(energy, row)
             traces[ping, channel] = row
 
     def tick(done: int) -> None:
@@ -339,11 +361,11 @@ def _model(pulse: LFM, fc: float, fs: float, c: float) -> tuple[tuple[float, ...
     parameter = pulse.window_parameter or 0.0
     window = WINDOWS.index(pulse.window)
     terms = (parameter, 0.0, 0.0, 0.0)
-    if window == _TUKEY and parameter == 0:
-        window = _RECT
-    if window == _GAUSSIAN:
+    if window == TUKEY and parameter == 0:
+        window = RECT
+    if window == GAUSSIAN:
         terms = (1 / (2 * parameter**2), 0.0, 0.0, 0.0)
-    if window == _TAYLOR:
+    if window == TAYLOR:
         # cos(2x) and cos(3x) as polynomials of cos(x)
         scale, (a, b, d) = pulse._taylor
         terms = (scale * (1 - 2 * b), scale * (2 * a - 6 * d), scale * 4 * b, scale * 8 * d)
@@ -362,139 +384,3 @@ def _add_noise(traces: ComplexArray, variance: float, seed: int | None, workers:
         traces[ping, channel] = traces[ping, channel] + noise
 
     _pool.run(task, n_ping * n_channel, workers)
-
-
-# Kernels: they trust their arguments.
-@njit(nogil=True, cache=True)
-def _delay(x, y, z, tx, rx, v, c):  # type: ignore[no-untyped-def]
-    """Travel time tau (s), range from the transmitter, and vector to the point from the receiver at reception (m)."""
-    there = math.sqrt((x - tx[0]) ** 2 + (y - tx[1]) ** 2 + (z - tx[2]) ** 2)
-    dx, dy, dz = x - rx[0], y - rx[1], z - rx[2]
-    tau = (there + math.sqrt(dx * dx + dy * dy + dz * dz)) / c
-    if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
-        # contracts by |v|/c < 0.1 per step: 1e-14 s, or the last bits of a long delay, within a few
-        for _ in range(50):
-            ex, ey, ez = dx - v[0] * tau, dy - v[1] * tau, dz - v[2] * tau
-            before = tau
-            tau = (there + math.sqrt(ex * ex + ey * ey + ez * ez)) / c
-            if abs(tau - before) <= 1e-14 + 4e-16 * tau:
-                break
-        dx, dy, dz = dx - v[0] * tau, dy - v[1] * tau, dz - v[2] * tau
-    return tau, there, dx, dy, dz
-
-
-@njit(nogil=True, cache=True)
-def _delays(points, tx, rx, v, c):  # type: ignore[no-untyped-def]
-    """Travel times (s) of `points` (point, 3) for one trace."""
-    out = np.empty(points.shape[0])
-    for i in range(points.shape[0]):
-        out[i] = _delay(points[i, 0], points[i, 1], points[i, 2], tx, rx, v, c)[0]
-    return out
-
-
-@njit(nogil=True, cache=True)
-def _turn(turns):  # type: ignore[no-untyped-def]
-    """exp(2j pi turns)."""
-    angle = 2 * math.pi * (turns - math.floor(turns + 0.5))
-    return complex(math.cos(angle), math.sin(angle))
-
-
-@njit(nogil=True, cache=True)
-def _look(directive, face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
-    """Whether a point lies before an element's face, and the sincs' arguments per Hz."""
-    if not directive:
-        return True, 0.0, 0.0
-    scale = math.sqrt(dx * dx + dy * dy + dz * dz) * c
-    if not dx * face[0] + dy * face[1] + dz * face[2] > 0.0:
-        return False, 0.0, 0.0
-    along = face[_LENGTH] * (dx * face[3] + dy * face[4] + dz * face[5]) / scale
-    return True, along, face[_HEIGHT] * (dx * face[6] + dy * face[7] + dz * face[8]) / scale
-
-
-@njit(nogil=True, cache=True)
-def _window(window, terms, u, duration):  # type: ignore[no-untyped-def]
-    """Envelope at time `u` from the pulse's centre, inside its support."""
-    if window == _GAUSSIAN:
-        return math.exp(-u * u * terms[0])
-    if window == _TUKEY:
-        edge = (2 * abs(u) / duration - 1 + terms[0]) / terms[0]
-        return 1.0 if edge <= 0.0 else 0.5 + 0.5 * math.cos(math.pi * min(edge, 1.0))
-    if window == _TAYLOR:
-        x = math.cos(2 * math.pi * u / duration)
-        return terms[0] + x * (terms[1] + x * (terms[2] + x * terms[3]))
-    return 1.0
-
-
-@njit(nogil=True, cache=True)
-def _add_echoes(  # type: ignore[no-untyped-def]
-    sums, points, amplitudes, first, last, geometry, model, window, terms, spreading, faces, directive
-):
-    """Add the echoes of points first ... last - 1 to one trace. Returns -1, or a point without distance for `spreading`.
-
-    The phase pi (rate u + 2 offset) u of the chirp is quadratic in the sample number, so exp(j phase) follows from two
-    complex products per sample: value *= advance; advance *= bend. Every _RESTART samples all are set anew.
-    """
-    tx, rx, v, start = geometry
-    carrier, rate, duration, half, fc, fs, c = model
-    offset, bend = carrier - fc, _turn(rate / fs / fs)
-    n_sample = sums.size
-    across, sines, turns = np.zeros(4), np.zeros(4, dtype=np.complex128), np.zeros(4, dtype=np.complex128)
-    for i in range(first, last):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        tau, there, dx, dy, dz = _delay(x, y, z, tx, rx, v, c)
-        amplitude = amplitudes[i]
-        if spreading:
-            loss = there * math.sqrt(dx * dx + dy * dy + dz * dz)
-            if loss == 0.0:
-                return i
-            amplitude /= loss
-        # the envelope's own test decides at the edges: begin a sample early, end a sample late
-        middle = (tau - start + duration / 2) * fs
-        if not (middle - half * fs < n_sample and middle + half * fs > -1.0):
-            continue
-        low = int(max(math.floor(middle - half * fs), 0.0))
-        high = int(min(math.ceil(middle + half * fs), n_sample - 1.0))
-        while low <= high and abs(start + low / fs - tau - duration / 2) > half:
-            low += 1
-        while low <= high and abs(start + high / fs - tau - duration / 2) > half:
-            high -= 1
-        if low > high:
-            continue
-        before_tx, along_tx, up_tx = _look(directive[0], faces[0], x - tx[0], y - tx[1], z - tx[2], c)
-        before_rx, along_rx, up_rx = _look(directive[1], faces[1], dx, dy, dz, c)
-        if not (before_tx and before_rx):
-            continue
-        across[0], across[1], across[2], across[3] = along_tx, up_tx, along_rx, up_rx
-        patterned = along_tx != 0.0 or up_tx != 0.0 or along_rx != 0.0 or up_rx != 0.0
-        amplitude *= _turn(-fc * tau)
-        for restart in range(low, high + 1, _RESTART):
-            u = start + restart / fs - tau - duration / 2
-            value = amplitude * _turn((0.5 * rate * u + offset) * u)
-            advance = _turn((rate * (u + 0.5 / fs) + offset) / fs)
-            for k in range(across.size):
-                sines[k] = _turn(0.5 * (carrier + rate * u) * across[k])
-                turns[k] = _turn(0.5 * rate / fs * across[k])
-            for n in range(restart, min(restart + _RESTART, high + 1)):
-                if window == _RECT and not patterned:
-                    sums[n] += value
-                else:
-                    u = start + n / fs - tau - duration / 2
-                    gain = _window(window, terms, u, duration)
-                    if patterned:
-                        for k in range(across.size):
-                            x = math.pi * (carrier + rate * u) * across[k]
-                            gain *= sines[k].imag / x if abs(x) > 1e-3 else 1 - x * x / 6
-                            sines[k] *= turns[k]
-                    sums[n] += value * gain
-                value *= advance
-                advance *= bend
-    return -1
-
-
-@njit(nogil=True, cache=True)
-def _power(trace):  # type: ignore[no-untyped-def]
-    """Sum of |trace|^2 in one fixed order, wherever the array lies in memory."""
-    total = 0.0
-    for value in trace:
-        total += value.real * value.real + value.imag * value.imag
-    return total

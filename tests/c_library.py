@@ -17,7 +17,7 @@ class Survey(ctypes.Structure):
         [("struct_size", ctypes.c_size_t), ("n_ping", i64), ("n_channel", i64), ("n_sample", i64)]
         + [(name, f64) for name in ("fs", "fc", "bandwidth", "c", "t0")]
         + [(name, pointer) for name in ("ping_t0", "tx", "rx", "velocity", "weights", "boresight")]
-        + [("beam_half_angle", f64)]
+        + [("beam_half_angle", f64), ("beam_shape", ctypes.c_int32), ("beam_taper", f64), ("beam_axis", pointer)]
     )
 
 
@@ -110,9 +110,14 @@ def call(echoes, grid, tol, method=0, isa="", threads=2, weights=None):
     if weights is not None:
         survey.weights = weights.ctypes.data
     if echoes.beam is not None:
-        boresight = np.broadcast_to(echoes.beam.boresight, (echoes.n_ping, 3))
-        keep.append(np.ascontiguousarray(boresight / np.linalg.norm(boresight, axis=1, keepdims=True)))
-        survey.boresight, survey.beam_half_angle = keep[-1].ctypes.data, echoes.beam.half_angle
+        beam = echoes.beam
+        for name, value in (("boresight", beam.boresight), ("beam_axis", beam.axis)):
+            if value is None:
+                continue
+            directions = np.broadcast_to(value, (echoes.n_ping, 3))
+            keep.append(np.ascontiguousarray(directions / np.linalg.norm(directions, axis=1, keepdims=True)))
+            setattr(survey, name, keep[-1].ctypes.data)
+        survey.beam_half_angle, survey.beam_taper, survey.beam_shape = beam.half_angle, beam.taper, beam.shape == "fan"
     options.method, options.isa, options.threads = method, isa.encode() or None, threads
     plan = pointer()
     code = library().pysas_plan_create(*map(ctypes.byref, (survey, lines, options)), ctypes.byref(plan))

@@ -67,7 +67,43 @@ def _read(trace, u, turn, half):
 
 
 @numba.njit(cache=True)
-def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle, weights):
+def _cross(a, b):
+    return np.sqrt((a[1] * b[2] - a[2] * b[1]) ** 2 + (a[2] * b[0] - a[0] * b[2]) ** 2 + (a[0] * b[1] - a[1] * b[0]) ** 2)
+
+
+@numba.njit(cache=True)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True)
+def lobe(away, boresight, axis, beam):
+    """Whether a term counts in `away` from its transmitter, what it then weighs, and how near that is to counting otherwise.
+
+    beam : its shape (0 none, 1 cone, 2 fan), half-angle and taper, over which the weight is (1 + cos(pi x))/2, x from 0 to 1.
+    """
+    shape, half, taper = beam
+    if shape == 0:
+        return True, 1.0, np.inf
+    nearest = np.inf
+    if shape == 1:
+        alpha = np.arctan2(_cross(away, boresight), _dot(away, boresight))
+    else:
+        alpha = np.arctan2(abs(_dot(away, axis)), _cross(away, axis))
+        length = np.sqrt(_dot(away, away))
+        before = _dot(away, boresight) / length if length > 0 else 0.0
+        nearest = abs(before + BEAM_SLACK) / BEAM_SLACK
+        if before < -BEAM_SLACK:
+            return False, 0.0, nearest
+    if taper == 0:
+        beyond = alpha - half - BEAM_SLACK
+        return beyond <= 0, 1.0, min(nearest, abs(beyond) / BEAM_SLACK)
+    x = min(1.0, max(0.0, 1 - (half - alpha) / (taper * half)))
+    return alpha <= half, (1 + np.cos(np.pi * x)) / 2, nearest
+
+
+@numba.njit(cache=True)
+def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, axis, beam, weights):
     """Image, squared level, and how near (in slacks) any term comes to where it would be counted otherwise."""
     pings, channels, samples = data.shape
     image, power = np.zeros(len(points), np.complex128), np.zeros(len(points))
@@ -81,15 +117,10 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle
             for k in range(3):
                 away[k] = points[i, k] - tx[p, k]
                 squared += away[k] * away[k]
-            if half_angle < np.inf:
-                b = boresight[p]
-                x, y = away[1] * b[2] - away[2] * b[1], away[2] * b[0] - away[0] * b[2]
-                z = away[0] * b[1] - away[1] * b[0]
-                dot = away[0] * b[0] + away[1] * b[1] + away[2] * b[2]
-                beyond = np.arctan2(np.sqrt(x * x + y * y + z * z), dot) - half_angle - BEAM_SLACK
-                nearest[i] = min(nearest[i], abs(beyond) / BEAM_SLACK)
-                if beyond > 0:
-                    continue
+            lit, light, edge = lobe(away, boresight[p], axis[p], beam)
+            nearest[i] = min(nearest[i], edge)
+            if not lit:
+                continue
             for k in range(channels):
                 tau = delay(np.sqrt(squared), points[i] - rx[p, k], velocity[p, k], c)
                 u = (tau - start[p]) * fs
@@ -98,7 +129,7 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle
                 weight = weights[min(i, len(weights) - 1), p, k]
                 if u < -RECORD_SLACK or u > samples - 1 + RECORD_SLACK or weight == 0:
                     continue
-                value = weight * _read(data[p, k], min(max(u, 0.0), samples - 1.0), turn, half)
+                value = weight * light * _read(data[p, k], min(max(u, 0.0), samples - 1.0), turn, half)
                 turns = fc * tau
                 turns -= np.rint(turns)
                 image[i] += value * np.exp(2j * np.pi * turns)
@@ -107,7 +138,7 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, half_angle
 
 
 @numba.njit(cache=True)
-def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, half_angle, used):
+def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, axis, beam, used):
     """Whether any term of `used` traces counts at any of the points."""
     away = np.zeros(3)
     for i in range(len(points)):
@@ -115,7 +146,7 @@ def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, half_angle,
             for k in range(3):
                 away[k] = points[i, k] - tx[p, k]
             outward = np.sqrt((away**2).sum())
-            if half_angle < np.pi and (away * boresight[p]).sum() < np.cos(half_angle + BEAM_SLACK) * outward:
+            if not lobe(away, boresight[p], axis[p], beam)[0]:
                 continue
             for k in range(rx.shape[1]):
                 u = (delay(outward, points[i] - rx[p, k], velocity[p, k], c) - start[p]) * fs
@@ -125,20 +156,24 @@ def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, half_angle,
 
 
 def _geometry(echoes):
-    """Arrays of a survey as the loops take them: start, tx, rx, velocity, boresights of length 1 and the half-angle."""
+    """Arrays of a survey as the loops take them: start, tx, rx, velocity, boresights and axes of length 1, and the beam."""
     pings, channels = echoes.n_ping, echoes.n_channel
     velocity = np.zeros((pings, channels, 3)) if echoes.velocity is None else echoes.receiver_velocity
-    boresight, half_angle = np.zeros((pings, 3)), np.inf
-    if echoes.beam is not None:
-        boresight, half_angle = np.broadcast_to(echoes.beam.boresight, (pings, 3)), echoes.beam.half_angle
+    boresight, axis, beam = np.zeros((pings, 3)), np.zeros((pings, 3)), (0.0, np.pi, 0.0)
+    if (given := echoes.beam) is not None:
+        beam = ({"cone": 1.0, "fan": 2.0}[given.shape], given.half_angle, given.taper)
+        boresight = np.broadcast_to(given.boresight, (pings, 3))
         boresight = boresight / np.linalg.norm(boresight, axis=1, keepdims=True)
-    arrays = (echoes.start_time, echoes.tx, echoes.receivers, velocity, boresight)
-    return (*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), float(half_angle))
+        if given.shape == "fan":
+            axis = np.cross(boresight, [0.0, 0.0, 1.0]) if given.axis is None else np.broadcast_to(given.axis, (pings, 3))
+            axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    arrays = (echoes.start_time, echoes.tx, echoes.receivers, velocity, boresight, axis)
+    return (*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), beam)
 
 
 def delays(echoes, points):
     """(point, ping, channel) travel times, s."""
-    _, tx, rx, velocity, _, _ = _geometry(echoes)
+    _, tx, rx, velocity, *_ = _geometry(echoes)
     out = np.empty((len(points), *rx.shape[:2]))
     for i, point in enumerate(points):
         outward, e = np.linalg.norm(point - tx, axis=1)[:, None], point - rx
@@ -155,20 +190,20 @@ def direct_sum(echoes, points, weights=None):
     """
     w = np.ones((echoes.n_ping, echoes.n_channel)) if weights is None else np.asarray(weights)
     w = np.ascontiguousarray(w if w.ndim == 3 else w[None], np.complex128)
-    start, tx, rx, velocity, boresight, half_angle = _geometry(echoes)
+    start, tx, rx, velocity, boresight, axis, beam = _geometry(echoes)
     data = np.ascontiguousarray(echoes.traces, np.complex128)
     image, power, nearest = _sum(
-        data, echoes.fs, echoes.fc, start, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, half_angle, w
+        data, echoes.fs, echoes.fc, start, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, axis, beam, w
     )
     return image, np.sqrt(power), nearest > UNSURE
 
 
 def any_term(echoes, points, used):
     """Whether any term counts at any of the points, of the traces `used` (ping, channel)."""
-    start, tx, rx, velocity, boresight, half_angle = _geometry(echoes)
+    start, tx, rx, velocity, boresight, axis, beam = _geometry(echoes)
     return bool(
         _any(
-            echoes.fs, start, echoes.n_sample, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, half_angle,
+            echoes.fs, start, echoes.n_sample, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, axis, beam,
             np.ascontiguousarray(used),
         )
     )  # fmt: skip

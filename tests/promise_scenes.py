@@ -42,8 +42,9 @@ class Scene:
 class Draw:
     """A random generator with the few draws that scenes are made of."""
 
-    def __init__(self, seed: int) -> None:
-        self.rng = np.random.default_rng([seed, 2024])
+    def __init__(self, seed: int, part: str = "") -> None:
+        # parts of their own, so that what is drawn there changes nothing else of a scene
+        self.rng = np.random.default_rng([seed, 2024, *part.encode()])
 
     def one(self, choices: Any) -> Any:
         return choices[int(self.rng.integers(len(choices)))]
@@ -294,7 +295,7 @@ def draw(seed: int) -> Scene:
         if d.maybe(0.5):
             look = look * d.log(0.1, 10)
         half = d.one((d.log(0.02, np.pi), d.log(0.2, 1.6), np.pi))
-        beam = pysas.Beam(look if d.maybe(0.7) else look[-1], 1.0, half)
+        beam = lobe(seed, look if d.maybe(0.7) else look[-1], half)
 
     # record: about what the pixels need, with little or much beside it, or cut
     bare = {"fs": fs, "fc": fc, "c": c, "bandwidth": band * fs}
@@ -395,7 +396,9 @@ def draw(seed: int) -> Scene:
     with np.errstate(over="ignore"):
         data = data.astype(dtype)
     if family == "edges":
-        tx, rx, start_time, beam, view, n, data = _edges(d, unit, fs, c, pings, channels, dtype, band)
+        tx, rx, start_time, beam, view, n, data = _edges(
+            d, Draw(seed, "edge").one(("fan", "cone")), unit, fs, c, pings, channels, dtype, band
+        )
         velocity, weights, nan, kind, form, jitter = None, None, "raise", "edges", "monostatic", "even"
         shape, content, lenient = view.kind, "noise", False
     flat = channels == 1 and d.maybe(0.5)
@@ -410,13 +413,32 @@ def draw(seed: int) -> Scene:
         f"{kind}, {form}, {pings} x {channels} x {n}, {shape} {'x'.join(map(str, view.shape))}, {content}{blast}"
         f"{'' if scale == 1 else f' x {scale:g}'}, {np.dtype(dtype).name}, fs/B {over:.3g}, fc/B {fc / fs * over:.3g}, "
         f"length/range {length / reach:.2g}, range {reach:.0f} samples, speed {speed / c:.2g} c, start {jitter}, "
-        f"{'no' if beam is None else f'{beam.half_angle:.2g} rad'} beam, weights "
+        f"{'no beam' if beam is None else f'{beam.shape} of {beam.half_angle:.2g} rad, taper {beam.taper:.2g}'}, weights "
         f"{'no' if weights is None else weights if isinstance(weights, str) else weights.dtype}, nan {nan}"
     )
     return Scene(seed, family, words, echoes, view, float(tol), weights, nan, lenient)
 
 
-def _edges(d: Draw, unit: float, fs: float, c: float, pings: int, channels: int, dtype: Any, band: float) -> tuple[Any, ...]:
+def lobe(seed: int, look: np.ndarray, half: float) -> pysas.Beam:
+    """A fan or a cone with a hard edge, a narrow taper, a wide one or nothing but taper; axes at right angles or not."""
+    d = Draw(seed, "beam")
+    fan, axis = d.maybe(0.6), None
+    taper = d.one((0.0, 0.0, d.log(1e-3, 0.1), 0.5, 1.0))
+    if fan:
+        half = min(half, np.pi / 2)
+        way = d.one(("level", "level", "askew", "of the ping"))
+        rows = np.atleast_2d(look)
+        level = np.cross(rows, [0.0, 0.0, 1.0])
+        if way != "level" or not np.all(np.linalg.norm(level, axis=1) > 1e-3 * np.linalg.norm(rows, axis=1)):
+            along = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+            axis = np.cross(along, _unit(d)) + d.one((0.0, 0.1, 0.5)) * along + 0.05 * d.rng.standard_normal(rows.shape)
+            axis = axis[0] if way == "askew" and look.ndim == 1 else axis if look.ndim == 2 else axis[0]
+    return pysas.Beam(look, 1.0, half, "fan" if fan else "cone", max(taper, 1.1e-5 / half) if taper > 0 else 0.0, axis)
+
+
+def _edges(
+    d: Draw, shape: str, unit: float, fs: float, c: float, pings: int, channels: int, dtype: Any, band: float
+) -> tuple[Any, ...]:
     """Pixels exactly on a record's first or last sample, or on a beam's edge, in numbers as a person would write them."""
     tx = np.zeros((pings, 3))
     tx[:, 0] = (np.arange(pings) - pings // 2) * 0.02
@@ -432,15 +454,15 @@ def _edges(d: Draw, unit: float, fs: float, c: float, pings: int, channels: int,
         y = (start[0] + (n - 1) / fs) * c / 2 - np.arange(40) * d.one((unit, 0.1, 0.01))
     view = pysas.Grid.plane(np.arange(-16, 16) * d.one((0.01, 0.02)), y)
     if way == "right angle":
-        beam = pysas.Beam([0.0, 1.0, 0.0], 1.0, np.pi / 2)
+        beam = pysas.Beam([0.0, 1.0, 0.0], 1.0, np.pi / 2, shape)
         view = pysas.Grid.plane(begin * (1 + np.arange(30) * 1e-3), [0.0, *(np.arange(1, 6) * 0.05)])
     elif way == "diagonal":
-        beam = pysas.Beam([1.0, 0.0, 0.0], 1.0, np.pi / 4)
+        beam = pysas.Beam([1.0, 0.0, 0.0], 1.0, np.pi / 4, shape)
         s = begin / np.sqrt(2) + np.arange(50) * 0.01
         view = pysas.Grid.points(tx[0] + s[:, None] * np.array([1.0, 1.0, 0.0]))
     elif way == "narrow":
         half = 10.0 ** -d.rng.uniform(1, 6)
-        beam = pysas.Beam([0.0, 1.0, 0.0], 1.0, half)
+        beam = pysas.Beam([0.0, 1.0, 0.0], 1.0, half, shape)
         y = start[0] * c / 2 + 20 * unit
         view = pysas.Grid.points(tx[0] + np.array([0.0, y, 0.0]) + np.linspace(-1.5, 1.5, 61)[:, None] * [y * half, 0, 0])
     return tx, rx, start, beam, view, n, data

@@ -50,5 +50,5 @@ def smooth(points, u, fc=FC, band=BAND, fs=30e3, near=21.0, samples=380, look=0.
         late = t - 2 * away[:, None] / C
         data += beam * np.exp(-(late**2) / (2 * sigma**2)) * np.exp(-4j * np.pi * fc / C * away[:, None])
     boresight = (look, side * np.sqrt(1 - look**2), 0.0)
-    beam_field = pysas.Beam(boresight, LENGTH, np.pi) if look or side < 0 else None
+    beam_field = pysas.Beam(boresight, LENGTH, np.pi / 2) if look or side < 0 else None
     return pysas.Echoes(data, fs=fs, fc=fc, tx=tx, rx=tx, c=C, t0=2 * near / C, bandwidth=band, beam=beam_field)

@@ -250,6 +250,15 @@ def empty():
     # the box of two pixels reaches across the record, its pixels do not
     yield "pixels", {"points": [[0, 2, 0], [0, 100, 0]]}, {}, {}, "no pixel lies within the recorded window of any trace left"
     yield "beam", {}, {"beam": blind}, {}, "no pixel lies within the beam of any trace left"
+    near, far, behind = [0, 2, 0], [0, 100, 0], [0, -20, 0]  # 2 m are before the record begins, 100 m after it ends
+    recorded = "no pixel lies within the recorded window of any trace left"
+    either = "no pixel lies within the beam or the recorded window of any trace left"
+    at_once = "no pixel lies within the beam and at once within the recorded window of any trace left"
+    for shape in ("fan", "cone"):
+        ahead, back = (pysas.Beam([0, side, 0], 0.1, 1.5, shape, 0.5) for side in (1, -1))
+        yield f"window, {shape}", {"points": [near, far]}, {"beam": ahead}, {}, recorded
+        yield f"either, {shape}", {"points": [near, far]}, {"beam": back}, {}, either
+        yield f"both, {shape}", {"points": [near, behind]}, {"beam": ahead}, {}, at_once
     yield "mask", {"mask": np.zeros(PLANE.shape, bool)}, {}, {}, "the mask leaves out every pixel"
     yield "NaN", {}, {"data": nan}, {"nan": "mask"}, "every trace holds non-finite samples"
     yield "weights", {}, {}, {"weights": np.zeros(16)}, "the weights are all 0"

@@ -10,7 +10,7 @@ import numpy as np
 import promise_scenes
 import pytest
 import test_c_python
-from c_library import PROGRESS, Options, i64, pointer, structs
+from c_library import PROGRESS, Options, Survey, i64, pointer, structs
 from scenes import PLANE, SCENES, C, far, moving, noise, straight
 from test_factorised import CASES, answer, plane
 from test_levels import scene as beside
@@ -86,7 +86,7 @@ def test_pixels_on_a_beams_edge_count(library, half):
     def lit(survey, lines, options):
         survey.boresight, survey.beam_half_angle = keep.ctypes.data, half
 
-    exact, level = pysas.reference.exact(echoes.replace(beam=pysas.Beam(bore, 0.1, half)), grid)
+    exact, level = pysas.reference.exact(echoes.replace(beam=pysas.Beam(bore, 0.1, half, "cone")), grid)
     assert np.all(level[0] > 0)
     found = image(library, echoes, grid, 1e-3, True, lit)
     assert pysas.metrics.relative_error(found, exact, level) <= 1e-3
@@ -307,7 +307,7 @@ def test_ffbp_with_weights_mask_and_beam(library):
     exact, level = pysas.reference.exact(echoes, masked, pixels, weights)
     assert pysas.metrics.relative_error(found.ravel()[pixels], exact, level) <= 1e-3
     boresight = np.tile(np.array([0.0, 1.0, -0.25]) / np.hypot(1, 0.25), (48, 1))
-    beam = echoes.replace(beam=pysas.Beam(boresight[0], 0.05, np.radians(9.0)))
+    beam = echoes.replace(beam=pysas.Beam(boresight[0], 0.05, np.radians(9.0), "cone"))
     shares = []
 
     def narrow(survey, lines, options):
@@ -413,6 +413,44 @@ def test_plans_tell_what_python_s_do(library, method):
     assert library.pysas_plan_error(plan) == pytest.approx(same.choices.predicted_error, rel=1e-12)
     library.pysas_plan_destroy(plan)
     assert library.pysas_plan_describe(None, None, 0) == library.pysas_plan_seconds(None) == library.pysas_plan_error(None) == 0
+
+
+def test_surveys_of_older_callers_have_cones_with_hard_edges(library):
+    echoes, grid = moving(16), PLANE
+    boresight = np.tile([0.0, 1.0, -0.2], (echoes.n_ping, 1))
+
+    def lit(survey, lines, options):
+        survey.boresight, survey.beam_half_angle = boresight.ctypes.data, 0.3
+
+    def older(survey, lines, options):
+        lit(survey, lines, options)
+        survey.beam_shape, survey.beam_taper = 1, 0.5  # beyond its end: not read
+        survey.struct_size = Survey.beam_shape.offset
+
+    assert np.array_equal(image(library, echoes, grid, 1e-3, change=older), image(library, echoes, grid, 1e-3, change=lit))
+    for size in (0, Survey.beam_shape.offset + 4, ctypes.sizeof(Survey) + 8):
+        assert image(library, echoes, grid, 1e-3, change=lambda s, g, o, n=size: setattr(s, "struct_size", n)) == 6
+
+
+@pytest.mark.parametrize(
+    "beam",
+    [
+        {"beam_shape": 2}, {"beam_shape": -1}, {"beam_half_angle": 1.6, "beam_shape": 1}, {"beam_taper": -0.1},
+        {"beam_taper": 1.1}, {"beam_taper": float("nan")}, {"beam_taper": 1e-6},
+        {"beam_shape": 1, "beam_axis": [0.0, 2.0, 0.0]}, {"beam_shape": 1, "beam_axis": [0.0, 0.0, 0.0]},
+        {"beam_shape": 1, "boresight": [0.0, 0.0, -1.0]},
+    ],
+)  # fmt: skip
+def test_beams_that_are_none(library, beam):
+    echoes, grid = moving(16), PLANE
+    arrays = {name: np.tile(beam.get(name, [0.0, 1.0, 0.0]), (echoes.n_ping, 1)) for name in ("boresight", "beam_axis")}
+
+    def change(survey, lines, options):
+        survey.boresight, survey.beam_half_angle = arrays["boresight"].ctypes.data, 0.3
+        for name, value in beam.items():
+            setattr(survey, name, arrays[name].ctypes.data if name in arrays else value)
+
+    assert image(library, echoes, grid, 1e-3, change=change) == 1
 
 
 def test_options_of_older_callers(library):

@@ -26,7 +26,7 @@ def with_beam(boresight, half_angle=0.03):
 def test_a_boresight_of_any_length_is_a_direction(library, length):  # noqa: F811
     direction = np.array([0.02, 0.96, -0.26])
     unit = direction / np.linalg.norm(direction)
-    beam = pysas.Beam(unit, 0.1, 0.03)
+    beam = pysas.Beam(unit, 0.1, 0.03, "cone")
     pixels = np.arange(0, GRID.size, 7)
     exact, level = pysas.reference.exact(ECHOES.replace(beam=beam), GRID, pixels)
     assert 0 < np.count_nonzero(level) < level.size

@@ -66,7 +66,17 @@ def masked(width, height):
 
 
 SQUARE = pysas.Grid.plane((np.arange(256) - 128) * STEP, (np.arange(256) - 128) * STEP)
-LIT = pysas.Beam((0.0, 1.0, 0.0), 0.1, 0.3)
+LIT = pysas.Beam((0.0, 1.0, 0.0), 0.1, 0.3, "cone")
+
+
+def fading():
+    angle = 0.01 * np.sin(np.arange(512))
+    return pysas.Beam(
+        np.stack([-np.sin(angle), np.cos(angle), 0 * angle - 0.2], axis=1), 0.1, 0.3, "fan", 0.6,
+        np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1),
+    )  # fmt: skip
+
+
 SCENES = {
     "one receiver": (monostatic, plane(400, 380), {}),
     "six moving receivers": (six_receivers, plane(300, 200), {}),
@@ -74,6 +84,8 @@ SCENES = {
     "relief": (six_receivers, relief(200, 150), {}),
     "relief under trees": (monostatic, relief(400, 300), {}),
     "beam": (lambda: monostatic(192, beam=LIT), plane(150, 130), {}),
+    "fan": (lambda: monostatic(192, beam=pysas.Beam((0.1, 1.0, 0.0), 0.1, 0.3)), plane(150, 130), {}),
+    "fan that fades": (lambda: monostatic(beam=fading()), plane(400, 380), {}),
     "weights": (monostatic, plane(400, 400), {"weights": weighed}),
     "circle": (circle, SQUARE, {}),
     "points": (lambda: six_receivers(16), pysas.Grid.points(plane(60, 50).coordinates() + [0.0, 0.0, 0.25]), {}),
@@ -97,5 +109,5 @@ def test_the_same_image_to_the_bit(name, method):
         assert found.code == 0 and found.factorised_share == image.report.factorised_share
         assert np.array_equal(found.image, image.data)
         shares.append(found.factorised_share)
-    if method == "ffbp" and name in {"one receiver", "relief under trees", "weights", "mask"}:
+    if method == "ffbp" and name in {"one receiver", "relief under trees", "weights", "mask", "fan that fades"}:
         assert max(shares) > 0.5

@@ -137,9 +137,11 @@ def test_a_point_all_but_on_the_track(a):
     np.testing.assert_allclose(weights[far] / exact, np.mean(weights[far] / exact), rtol=1e-3)
 
 
-def test_beam():
+@pytest.mark.parametrize("shape", ["fan", "cone"])
+def test_beam(shape):
+    """In the plane of the circle both are alike."""
     tx = scenes.circle(360, 10.0)
-    echoes = blank(tx, beam=pysas.Beam(boresight=-tx, length=0.1, half_angle=0.3))
+    echoes = blank(tx, beam=pysas.Beam(-tx, 0.1, 0.3, shape, 0.0 if shape == "fan" else 0.5))
     point = np.array([0, 8.0, 0])
     weights = circular.view_weights(echoes, at(point))[0, :, 0]
     to = point - tx

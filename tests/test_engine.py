@@ -8,7 +8,7 @@ import pytest
 import pysas
 from pysas import _checks, _pool
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP, _numba, backend_name, native, preparation, summation
-from pysas.engine.traces import BLOCK, MODEL, TILE_ROWS, TRACE, place, reals, record
+from pysas.engine.traces import BEAM, BLOCK, MODEL, NO_BEAM, TILE_ROWS, TRACE, place, reals, record
 
 
 @pytest.mark.parametrize(("degree", "rate", "limit"), [(1, 8, 2e-2), (3, 2, 2e-3), (5, 1, 3e-4), (7, 2, 1e-7)])
@@ -168,14 +168,14 @@ def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, st
 
 
 def test_reals_of_records_lie_where_their_fields_do():
-    """Numba's kernels read fields by their places among the reals, C++ by those of its structs of 15 and 8 doubles."""
-    assert TRACE.itemsize == 15 * 8 and MODEL.itemsize == 8 * 8
+    """Numba's kernels read fields by their places among the reals, C++ by those of its structs of 18 and 10 doubles."""
+    assert TRACE.itemsize == 18 * 8 and MODEL.itemsize == 10 * 8
     for kind in (TRACE, MODEL):
         some = np.zeros(3, kind)
         for number, name in enumerate(kind.names):
-            some[name][1] = number + 1
-            row = reals(some)[1, place(kind, name) :]
-            assert np.all(row[: some[name][1].size] == number + 1) and not np.any(row[some[name][1].size :])
+            some[name][1] = number + 1  # all reals of a record within
+            row, count = reals(some)[1, place(kind, name) :], kind[name].itemsize // 8
+            assert np.all(row[:count] == number + 1) and not np.any(row[count:])
         assert np.shares_memory(reals(some), some) and reals(some[0:1].reshape(())).shape == (kind.itemsize // 8,)
     with pytest.raises(TypeError, match="expected"):
         record(MODEL, c=1500.0)
@@ -186,8 +186,10 @@ def test_the_extension_takes_its_own_records_alone():
     """numpy calls a dtype the same only where names, types and places of the fields are."""
     points, order, out = np.zeros((1, 3)), np.arange(2), np.empty((1, 2))
 
+    beam = record(BEAM, shape=NO_BEAM, half_angle=np.pi, full_angle=np.pi)
+
     def arcs(trace):
-        native.core().arcs(trace, 1, -1.0, points, order, out, 1, None)
+        native.core().arcs(trace, 1, beam, points, order, out, 1, None)
 
     own = np.zeros(2, TRACE)
     own["tx"] = own["rx"] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]

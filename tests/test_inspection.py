@@ -49,6 +49,12 @@ def clipped() -> pysas.Echoes:
     return survey(data=data)
 
 
+def yawing(by: float = 0.4) -> np.ndarray:
+    """Boresights that turn between pings 29 and 30, 0.4 rad = 22.9 degrees."""
+    yaw = np.where(np.arange(60) < 30, 0.0, by)
+    return np.stack([np.sin(yaw), np.cos(yaw), np.full(60, 0.0)], axis=1)
+
+
 def missing_ping() -> pysas.Echoes:
     """Pings 30 and 31 were not recorded: the track goes on smoothly."""
     good = survey()
@@ -73,6 +79,17 @@ FAULTS: dict[str, tuple[pysas.Echoes, str, str, str]] = {
     "pulse beside the band": (survey(fc=115e3, bandwidth=3e4), "pulse", "FAIL", "beyond what fs 40000 Hz holds"),
     "no pulse": (survey(pulse=None), "pulse", "FAIL", "cannot be compressed"),
     "band": (survey(bandwidth=38e3), "range sampling", "FAIL", "below 1.1"),
+    "beam ahead": (survey(beam=pysas.Beam([1, 0.2, -0.2], 0.3, 0.3)), "beam", "warn", "looks along it"),
+    "cone ahead": (survey(beam=pysas.Beam([1, 0.2, 0], 0.3, 0.3, "cone")), "beam", "warn", "looks along it"),
+    "beam across": (
+        survey(beam=pysas.Beam([0, 1, 0], 0.3, 0.3, axis=[0, 0, 1])),
+        "beam",
+        "warn",
+        "axis as given: 0, 0, 1; its middle",
+    ),
+    "yawing beam": (survey(beam=pysas.Beam(yawing(), 0.3, 0.3)), "beam", "warn", "turns by 22.9 deg first before ping 30"),
+    "yawing cone": (survey(beam=pysas.Beam(yawing(), 0.3, 0.3, "cone")), "beam", "warn", "turns by 22.9 deg"),
+    "other side": (survey(beam=pysas.Beam(yawing(np.pi), 0.3, 0.3)), "beam", "warn", "turns by 180 deg first before ping 30"),
     "sparse": (survey(beam=pysas.Beam([0, 1, 0], 0.02, 1.0)), "along-track sampling", "FAIL", "above D/2"),
 }
 
@@ -90,6 +107,22 @@ def test_each_fault_is_found_where_it_is(fault: str) -> None:
     assert found[name][0] == state and text in found[name][1]
     # a moved transmitter is also one against its receivers; a faulty navigation point shows in the spacing too
     assert found.keys() - {name} <= {"track", "receivers", "along-track sampling"}
+
+
+def test_a_sound_beam_is_described() -> None:
+    """Yaw of 0.02 rad a ping and boresights of any depression are no fault of a fan; the track sways by 0.6 degrees."""
+    ping = np.arange(60)
+    look = np.stack([0.01 * (-1.0) ** ping, np.ones(60), -0.5 - 0.4 * np.sin(ping)], axis=1)
+    for beam, text in (
+        (pysas.Beam(look, 0.3, 0.2, taper=0.25), "fan, half-angle 11.5 deg falling over its outer 25 %, D 0.3 m, axis level"),
+        (pysas.Beam([0, -1, 0], 0.3, 0.2, axis=[-2, 0, 0.1]), "with a hard edge, D 0.3 m, axis as given: -0.999, 0, 0.0499"),
+        (pysas.Beam([0, 1, -1], 0.3, 0.2, "cone"), "cone, half-angle 11.5 deg with a hard edge"),
+    ):
+        (found,) = (finding for finding in inspect(survey(beam=beam)) if finding.name == "beam")
+        assert found.state == "ok" and text in found.text
+    one = survey()
+    still = survey(data=one.data[:1], tx=one.tx[:1], rx=one.rx[:1], ping_time=None, beam=pysas.Beam([1, 0, 0], 0.3, 0.1))
+    assert "beam" not in findings(still)
 
 
 def test_silence_and_noise_without_a_finite_sample() -> None:

@@ -60,6 +60,9 @@ ECHOES: dict[str, Callable[[], Echoes]] = {
     "velocity of the ping, beam of the ping": lambda: survey(
         velocity=np.ones((4, 3)), beam=Beam(np.tile([0.0, 2.0, 0.1], (4, 1)), 0.1, 1.0)
     ),
+    "cone, taper": lambda: survey(beam=Beam((0.0, 1.0, -0.3), 0.05, 2.4, "cone", 0.3)),
+    "axis of the array": lambda: survey(beam=Beam(np.tile([0.0, 2.0, 0.1], (4, 1)), 0.1, 1.0, taper=1.0, axis=(1.0, 0.2, 0.0))),
+    "axis of the ping": lambda: survey(beam=Beam((0.0, 0.0, -1.0), 0.1, 1.0, axis=np.tile([1.0, 0.1, 0.0], (4, 1)))),
     "least": lambda: survey(
         velocity=None, compressed=True, pulse=None, beam=None, ping_time=None, attrs=None, t0=0.5, bandwidth=None
     ),
@@ -247,7 +250,22 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "navigation not finite": ({"tx": np.full((4, 3), np.nan)}, "tx: nan at ping 0"),
     "negative rate": ({"fs": np.float64(-1.0)}, r"fs=-1\.0: expected a finite number > 0"),
     "infinite t0": ({"t0": np.float64(np.inf)}, "t0=inf"),
-    "wide angle": ({"beam_half_angle": np.float64(4.0)}, "half_angle=4.0: expected radians"),
+    "wide angle": ({"beam_half_angle": np.float64(4.0)}, "beam: half_angle=4.0: expected radians"),
+    "a cone's angle for a fan": ({"beam_half_angle": np.float64(2.0)}, r"beam: half_angle=2.0: expected .* for a fan"),
+    "another shape": ({"beam_shape": "square" * 99}, "beam_shape: found 'squaresquare.*, expected 'fan' or 'cone'"),
+    "shape a number": ({"beam_shape": np.float64(2)}, "beam_shape: found float64 .*expected a string"),
+    "taper above 1": ({"beam_taper": np.float64(1.5)}, "beam: taper=1.5: expected a share"),
+    "taper not a number": ({"beam_taper": np.float64(np.nan)}, "beam: taper=nan"),
+    "tapers": ({"beam_taper": np.zeros(4)}, r"beam_taper: found shape \(4,\), expected \(\)"),
+    "axis along boresight": ({"beam_axis": np.array([0.0, 2.0, -0.6])}, "beam: axis=.*along boresight"),
+    "axis of no length": ({"beam_axis": np.zeros(3)}, "beam: axis=.*expected non-zero vectors"),
+    "axis not finite": ({"beam_axis": np.array([1.0, np.inf, 0.0])}, "beam: axis: inf"),
+    "axes of other pings": ({"beam_axis": np.ones((3, 3))}, r"beam_axis: found shape \(3, 3\), .*ping=4"),
+    "axis of a cone": ({"beam_axis": np.array([1.0, 0, 0]), "beam_shape": "cone"}, "beam: axis=.*expected None for a cone"),
+    "a shape alone": (
+        {"beam_boresight": None, "beam_length": None, "beam_half_angle": None, "beam_taper": None},
+        "beam_boresight: missing, expected beside beam_shape",
+    ),
 }  # fmt: skip
 
 
@@ -261,6 +279,17 @@ def test_a_broken_schema_is_one_error_that_names_the_file(case: str, suffix: str
     with pytest.raises(ValueError, match=rf"{re.escape(str(path))}: {message}") as caught:
         io.load(path)
     assert type(caught.value) is ValueError and len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_older_files_beam_is_a_cone_with_a_hard_edge(suffix: str, tmp_path: Path) -> None:
+    """Before beams had a shape and a taper there was no other."""
+    io.save(tmp_path / "good.npz", survey(beam=Beam((0.0, 1.0, -0.3), 0.05, 2.5, "cone")))
+    fields = contents(tmp_path / "good.npz")
+    assert fields["beam_shape"] == "cone" and fields["beam_taper"] == 0 and "beam_axis" not in fields
+    older = {name: value for name, value in fields.items() if name not in ("beam_shape", "beam_taper")}
+    loaded = io.load(written(suffix, tmp_path, older))
+    assert same(loaded, survey(beam=Beam((0.0, 1.0, -0.3), 0.05, 2.5, "cone", 0.0)))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

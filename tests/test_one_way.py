@@ -52,7 +52,7 @@ def test_raw_echoes_and_the_beam_of_the_echoes():
     beam = pysas.Beam((0.0, 1.0, 0.0), 0.04, 0.1)
     assert one_way(raw.replace(beam=beam), grid, threads=1).report.choices["half_angle"] == 0.1
     with pytest.warns(UserWarning, match="the march carries"):
-        wide = one_way(raw.replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, np.pi)), grid, step=0.1, threads=1)
+        wide = one_way(raw.replace(beam=pysas.Beam((0.0, 1.0, 0.0), 0.04, np.pi / 2)), grid, step=0.1, threads=1)
     # pi/(k dx) at the highest frequency
     k = 4 * np.pi * (100e3 + raw.occupied_bandwidth / 2) / C
     assert np.sin(wide.report.choices["half_angle"]) == pytest.approx(np.pi / (0.01 * k))

@@ -46,7 +46,7 @@ def test_a_curved_path_through_omega_k_is_back_projection_on_it(side):
     # 10 cm to either side: 84 rad of two-way phase
     echoes = curved(0.1 * np.sin(2 * np.pi * U / 6.0), side=side)
     if side < 0:
-        echoes = echoes.replace(beam=pysas.Beam((0.0, -1.0, 0.0), 0.1, np.pi))
+        echoes = echoes.replace(beam=pysas.Beam((0.0, -1.0, 0.0), 0.1, np.pi / 2))
         mapped = map_to_line(echoes, half_angle=0.15, threads=1).replace(beam=pysas.Beam((0.0, -1.0, 0.0), 0.1, 0.15))
     else:
         mapped = map_to_line(echoes, half_angle=0.15, threads=1)

@@ -62,6 +62,11 @@ def test_scenes_are_of_every_kind():
     assert any(scene.echoes.n_ping == 1 for scene in drawn) and any(scene.echoes.n_sample == 1 for scene in drawn)
     assert any(scene.echoes.n_ping == 2048 for scene in drawn)
     assert any(scene.echoes.fc < scene.echoes.occupied_bandwidth for scene in drawn)
+    beams = [scene.echoes.beam for scene in drawn if scene.echoes.beam is not None]
+    kinds = {(beam.shape, beam.taper > 0) for beam in beams}
+    assert kinds == {("fan", False), ("fan", True), ("cone", False), ("cone", True)}
+    assert {0.0, 0.5, 1.0} <= {beam.taper for beam in beams}
+    assert any(beam.axis is not None and np.abs(np.sum(beam.axes * beam.boresights, axis=1)).max() > 0.1 for beam in beams)
     again = promise_scenes.draw(17)
     assert np.array_equal(again.echoes.data, drawn[17].echoes.data) and again.tol == drawn[17].tol
 

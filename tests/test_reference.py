@@ -278,14 +278,14 @@ def test_beam_limits_the_transmitter_only() -> None:
     data = np.ones((2, 1, 64), dtype=np.complex64)
     rx = np.array([[[50.0, 0, 0]], [[50.0, 0, 0]]])
     boresight = np.array([[0.0, 2, 0], [0.0, -1, 0]])
-    echoes = Echoes(data, fs=64.0, fc=64.0, tx=np.zeros((2, 3)), rx=rx, c=200.0, beam=Beam(boresight, 0.1, np.pi / 4))
+    echoes = Echoes(data, fs=64.0, fc=64.0, tx=np.zeros((2, 3)), rx=rx, c=200.0, beam=Beam(boresight, 0.1, np.pi / 4, "cone"))
     points = np.array(
         [[3.0, 3, 0], [3.0, 3 - 1.2e-6, 0], [3.0, 3 - 3e-7, 0], [0, 3, 0], [0, -3, 0], [3, -3, 0], [3, 0, 0], [0, 0, 0]]
     )
     terms = np.rint((exact(echoes, Grid.points(points))[1] / exact(echoes.replace(beam=None), Grid.points(points))[1]) ** 2 * 2)
     # delta m lower are delta / 6 rad more off the first boresight: 2e-7, and 5e-8, less than what still counts
     assert terms.tolist() == [1, 0, 1, 1, 1, 1, 0, 2]
-    everywhere = echoes.replace(beam=Beam(np.array([0.0, 1, 0]), 0.1, np.pi))
+    everywhere = echoes.replace(beam=Beam(np.array([0.0, 1, 0]), 0.1, np.pi, "cone"))
     np.testing.assert_array_equal(
         exact(everywhere, Grid.points(points))[0], exact(echoes.replace(beam=None), Grid.points(points))[0]
     )

@@ -242,7 +242,29 @@ BAD_BEAM: list[tuple[tuple[Any, ...], type[Exception], str]] = [
     (("y", 0.1, 0.3), TypeError, "boresight: expected real numbers"),
     (([0, 1, 0], 0.0, 0.3), ValueError, "length=0.0: expected a finite number > 0"),
     (([0, 1, 0], 0.1, 0.0), ValueError, "half_angle=0.0"),
-    (([0, 1, 0], 0.1, 3.2), ValueError, r"half_angle=3.2: expected radians in \(0, pi\]"),
+    (([0, 1, 0], 0.1, 3.2, "cone"), ValueError, r"half_angle=3.2: expected radians in \(0, pi\]"),
+    (([0, 1, 0], 0.1, 1.6), ValueError, r"half_angle=1.6: expected radians in \(0, pi/2\] for a fan"),
+    (([0, 1, 0], 0.1, 0.3, "square"), ValueError, "shape='square': expected 'fan' or 'cone'"),
+    (([0, 1, 0], 0.1, 0.3, None), ValueError, "shape=None: expected 'fan' or 'cone'"),
+    (([0, 1, 0], 0.1, 0.3, "fan", -0.1), ValueError, "taper=-0.1: expected a share of the half-angle, 0 to 1"),
+    (([0, 1, 0], 0.1, 0.3, "cone", 1.1), ValueError, "taper=1.1: expected a share of the half-angle, 0 to 1"),
+    (([0, 1, 0], 0.1, 0.3, "fan", 1e-5), ValueError, "taper=1e-05: 3e-06 rad: expected 0 or at least 1e-05 rad"),
+    (([0, 1, 0], 0.1, 0.3, "fan", np.nan), ValueError, "taper=nan"),
+    (([0, 1, 0], 0.1, 0.3, "fan", "half"), TypeError, "taper='half'"),
+    (([0, 1, -1], 0.1, 0.3, "fan", 0.0, [0, -2, 2]), ValueError, "axis=.*: along boresight"),
+    (([[0, 1, -1]] * 2, 0.1, 0.3, "fan", 0.0, [[1, 0, 0], [0, 2, -2]]), ValueError, r"axis=[\s\S]*: along boresight"),
+    (([0, 1, 0], 0.1, 0.3, "fan", 0.0, [0, 0, 0]), ValueError, "axis=.*: expected non-zero vectors"),
+    (([0, 1, 0], 0.1, 0.3, "fan", 0.0, [1, np.nan, 0]), ValueError, "axis: nan"),
+    (([0, 1, 0], 0.1, 0.3, "fan", 0.0, [1, 0]), ValueError, r"axis: expected shape .*found \(2,\)"),
+    (
+        ([[0, 1, 0]] * 4, 0.1, 0.3, "fan", 0.0, [[1, 0, 0]] * 3),
+        ValueError,
+        "axis: of 3 pings: expected as many as boresight's, 4",
+    ),
+    (([0, 1, 0], 0.1, 0.3, "fan", 0.0, "x"), TypeError, "axis: expected real numbers"),
+    (([0, 1, 0], 0.1, 0.3, "cone", 0.0, [1, 0, 0]), ValueError, "axis=.*: expected None for a cone"),
+    (([0, 0, -1], 0.1, 0.3), ValueError, "boresight=.*: vertical: expected an axis along the element beside it"),
+    (([[0, 1, 0], [0, 0, 2]], 0.1, 0.3), ValueError, r"boresight=[\s\S]*: vertical: expected an axis"),
     (([0, 1, 0], 0.1, np.nan), ValueError, "half_angle=nan"),
     (([0, 1, 0], 0.1, True), TypeError, "half_angle=True"),
 ]
@@ -256,10 +278,28 @@ def test_beam_errors(arguments: tuple[Any, ...], error: type[Exception], text: s
 
 def test_beam() -> None:
     double: Any = [0, 2, 0]
-    beam = Beam(double, 1, np.pi)
+    beam = Beam(double, 1, np.pi, "cone")
     assert beam.boresight.dtype == np.float64
     assert (beam.length, beam.half_angle) == (1.0, np.pi)
+    fan = Beam(double, 1, np.pi / 2)
+    assert (fan.shape, fan.taper, fan.axis) == ("fan", 0.0, None)
+    np.testing.assert_array_equal(fan.axes, [[1.0, 0.0, 0.0]])  # y x z = x
+    assert Beam([0, 0, -1], 1, 0.3, "cone").half_angle == 0.3  # a cone may look straight down, a fan with an axis
+    np.testing.assert_allclose(Beam([0, 0, -1], 1, 0.3, axis=[3, 4, 0]).axes, [[0.6, 0.8, 0.0]], rtol=1e-15)
+    given: Any = np.array([1.0, 0.0, 0.0])
+    kept = Beam(double, 1, 0.3, axis=given)
+    given[:] = 0
+    np.testing.assert_array_equal(kept.axes, [[1.0, 0.0, 0.0]])
     assert Echoes(**fields(beam=Beam(np.ones((PING, 3)), 0.1, 1))).beam is not None
+
+
+def test_directions_of_a_beam_are_one_or_those_of_its_pings() -> None:
+    """One boresight with an axis of each ping, or the other way round, is well."""
+    axes = np.tile([1.0, 0.1, 0.0], (PING, 1))
+    assert Echoes(**fields(beam=Beam(ABEAM, 0.1, 1, axis=axes))).beam is not None
+    assert Echoes(**fields(beam=Beam(np.ones((PING, 3)), 0.1, 1, axis=axes[0]))).beam is not None
+    with pytest.raises(ValueError, match=rf"beam: axis of shape \({PING - 1}, 3\): expected \(3,\) or \({PING}, 3\)"):
+        Echoes(**fields(beam=Beam(ABEAM, 0.1, 1, axis=axes[1:])))
 
 
 def test_phase_centre_spacing() -> None:
@@ -307,7 +347,7 @@ def test_echoes_repr() -> None:
         "0.00 to 0.17 m slant range",
         "phase centres every 0.025 m (largest gap 0.025 m), moving receivers",
         "LFM(100 kHz, 20 kHz up-sweep, 1 ms, rect)",
-        "D 0.04 m, half-angle 28.6 deg",
+        "fan, half-angle 28.6 deg with a hard edge, D 0.04 m",
         "warning    along-track under-sampled: median spacing 0.025 m > D/2 = 0.02 m",
     ):
         assert part in text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import tracemalloc
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
-from pysas.simulation import AliasingWarning, Element, _aliased, _delays, simulate
+from pysas.signal.echoing import delays
+from pysas.simulation import AliasingWarning, Element, _aliased, simulate
 
 FloatArray = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -65,7 +68,7 @@ def test_delay_is_the_root_of_the_quadratic(speed: float) -> None:
     points = rng.uniform(-300.0, 300.0, (1000, 3)) + [0.0, 400.0, 0.0]
     tx, rx, direction = rng.normal(0.0, 1.0, (3, 3))
     v = speed * direction / np.linalg.norm(direction)
-    np.testing.assert_allclose(_delays(points, tx, rx, v, C), closed_form(points, tx, rx, v, C), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(delays(points, tx, rx, v, C), closed_form(points, tx, rx, v, C), rtol=0, atol=1e-14)
 
 
 @ALIASED
@@ -174,6 +177,83 @@ def test_element_pattern_follows_the_instantaneous_frequency() -> None:
     expected = gain * direct(point[None], [amplitude], pulse, tx, rx, v, 1200, pulse.fc)
     np.testing.assert_allclose(echoes.data, expected, rtol=0, atol=1e-10)
     assert np.ptp(np.abs(expected[0, 0][np.abs(expected[0, 0]) > 0.3])) > 0.05
+
+
+BEAMS = {
+    "fan": Beam([0.1, 1, -0.3], 0.1, 0.5),
+    "fan, taper": Beam([0.1, 1, -0.3], 0.1, 0.9, taper=0.4),
+    "all taper": Beam([0.1, 1, -0.3], 0.1, np.pi / 2, taper=1.0),
+    "axis askew, boresight of the ping": Beam(
+        [[0, 1, 0], [0.1, 1, 0], [0, 1, -0.1]], 0.1, 0.8, "fan", 0.5, [[1, 0.4, 0.3], [1, 0.5, 0.2], [0.9, 0.4, 0]]
+    ),
+    "straight down": Beam([0, 0, -2], 0.1, 0.7, taper=0.5, axis=[0, 1, 0]),
+    "cone": Beam([0.1, 1, -0.3], 0.1, 0.8, "cone"),
+    "cone, taper": Beam([0.1, 1, -0.3], 0.1, 1.2, "cone", 0.7),
+    "cone beyond a right angle": Beam([0, 0, 1], 0.1, 2.6, "cone", 0.5),
+}
+
+
+def lobe(beam: Beam, direction: FloatArray, ping: int) -> float:
+    """The docstring's weight in plain trigonometry: alpha from the cosines of angles with axis and boresight."""
+
+    def cosine(vector: Any) -> float:
+        one = np.broadcast_to(np.asarray(vector, dtype=float), (3, 3))[ping]
+        return float(direction @ one / np.linalg.norm(direction) / np.linalg.norm(one))
+
+    if beam.shape == "cone":
+        alpha = math.acos(cosine(beam.boresight))
+    else:
+        axis = np.cross(beam.boresight, [0, 0, 1]) if beam.axis is None else beam.axis
+        alpha = abs(math.pi / 2 - math.acos(cosine(axis)))
+        if cosine(beam.boresight) < 0:
+            return 0.0
+    if alpha > beam.half_angle:
+        return 0.0
+    full = (1 - beam.taper) * beam.half_angle
+    return 1.0 if alpha <= full else math.cos(math.pi / 2 * (alpha - full) / (beam.taper * beam.half_angle)) ** 2
+
+
+@ALIASED
+@pytest.mark.parametrize("name", BEAMS)
+def test_a_beam_weighs_every_points_echoes(name: str) -> None:
+    beam, (tx, rx, v) = BEAMS[name], survey()
+    rng = np.random.default_rng(11)
+    seen = []
+    for _ in range(24):
+        away = rng.standard_normal(3)
+        point = tx.mean(axis=0) + 28.0 * away / np.linalg.norm(away)
+        common: dict[str, Any] = {"tx": tx, "rx": rx, "velocity": v, "dtype": np.complex128} | TRACE
+        plain = simulate(point[None], [1.0], PULSES["tukey"], **common)
+        echoes = simulate(point[None], [1.0], PULSES["tukey"], beam=beam, **common)
+        assert echoes.beam is beam and plain.beam is None and np.any(plain.data, axis=-1).all()
+        weights = np.array([lobe(beam, point - tx[ping], ping) for ping in range(3)])
+        np.testing.assert_allclose(echoes.data, weights[:, None, None] * plain.data, rtol=0, atol=1e-12)
+        seen += list(weights)
+    assert min(seen) == 0 < max(seen)
+    assert (beam.taper == 0) == (not any(0 < weight < 1 for weight in seen))
+
+
+@ALIASED
+def test_beam_and_elements_multiply() -> None:
+    """A point on the edge of a hard beam counts, as in an image; one on the transmitter weighs 1."""
+    tx, rx, v = survey()
+    element, beam = Element(0.05), BEAMS["fan, taper"]
+    points = np.array([[3.0, 25.0, 0.0]])
+    common: dict[str, Any] = {"tx": tx, "rx": rx, "velocity": v, "dtype": np.complex128} | TRACE
+    both = simulate(points, [1.0], PULSES["rect"], beam=beam, tx_element=element, **common)
+    one = simulate(points, [1.0], PULSES["rect"], tx_element=element, **common)
+    weights = np.array([lobe(beam, points[0] - place, ping) for ping, place in enumerate(tx)])
+    np.testing.assert_allclose(both.data, weights[:, None, None] * one.data, rtol=0, atol=1e-12)
+    place = np.zeros((1, 3))
+    edges = np.array([[np.sin(a), np.cos(a), 0.0] for a in (0.3, 0.3 + 5e-8, 0.3 + 2e-7)]) * 20
+    for shape in ("fan", "cone"):
+        hard = Beam([0, 1, 0], 0.1, 0.3, shape)
+        lit = [simulate(p[None], [1], PULSES["rect"], tx=place, rx=place, fs=FS, duration=0.05, beam=hard) for p in edges]
+        assert [bool(np.any(echoes.data)) for echoes in lit] == [True, True, False]
+        soft = Beam([0, 1, 0], 0.1, 0.3, shape, 1.0)
+        near = simulate(place, [1], PULSES["rect"], tx=place, rx=place + 1, fs=FS, duration=0.05, beam=soft)
+        plain = simulate(place, [1], PULSES["rect"], tx=place, rx=place + 1, fs=FS, duration=0.05)
+        np.testing.assert_array_equal(near.data, plain.data)
 
 
 @ALIASED
@@ -323,6 +403,17 @@ def test_what_the_record_does_not_hold_is_left_out() -> None:
         ({"spreading": True}, ValueError, "point 0 at .* lies on the transmitter or receiver of ping 0, channel 0"),
         ({"tx_element": 0.1}, TypeError, "tx_element=0.1"),
         ({"rx_element": Element(0.1, boresight=np.tile([0, 1, 0], (3, 1)))}, ValueError, "rx_element: boresight of shape"),
+        ({"beam": 0.3}, TypeError, "beam=0.3: expected a pysas.Beam or None"),
+        (
+            {"beam": Beam(np.ones((3, 3)), 0.1, 1.0)},
+            ValueError,
+            r"beam: boresight of shape \(3, 3\): expected \(3,\) or \(2, 3\)",
+        ),
+        (
+            {"points": np.ones((2, 3)), "beam": Beam([0, -1, 0], 0.1, 0.1), "snr_db": 3.0},
+            ValueError,
+            "snr_db=3.0: no echo lies in the record and the beam",
+        ),
         ({"snr_db": np.nan}, ValueError, "snr_db=nan"),
         ({"snr_db": 3.0, "t0": 5.0}, ValueError, "snr_db=3.0: no echo lies in the record"),
         ({"seed": -1}, ValueError, "seed=-1"),

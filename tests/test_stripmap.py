@@ -401,7 +401,7 @@ def test_squinted_range_doppler_and_chirp_scaling():
         [[5.01, 25.0, 0.0]], [1.0], pysas.LFM(90e3, -20e3, 4e-3, "tukey", 0.2), tx=tx, rx=tx, fs=40e3, duration=16e-3, t0=28e-3,
         tx_element=element, rx_element=element, threads=1, dtype=np.complex128,
     )  # fmt: skip
-    raw = raw.replace(beam=pysas.Beam(boresight, 0.1, np.pi))
+    raw = raw.replace(beam=pysas.Beam(boresight, 0.1, np.pi / 2))
     ideal = np.abs(omega_k(raw, reference_range=25.0, threads=1).data).max()
     for image in (range_doppler(raw, reference_range=25.0, threads=1), chirp_scaling(raw, reference_range=25.0, threads=1)):
         assert pysas.metrics.peak_position(image) == pytest.approx((5.01, 25.0), abs=1e-3)

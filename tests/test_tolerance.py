@@ -78,10 +78,19 @@ def test_eight_tolerances_per_decade(name, dtype, engine):
     assert np.all(errors((name, echoes, grid, pixels, exact), dtype, tolerances, engine) <= tolerances)
 
 
-def test_options_keep_tol(engine):
+BEAMS = {
+    "fan": pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(3.0)),
+    "fan, taper": pysas.Beam([0.1, 1.0, -0.25], 0.05, np.radians(6.0), taper=0.5, axis=[1.0, 0.05, 0.1]),
+    "cone": pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(3.0), "cone"),
+    "cone, all taper": pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(4.0), "cone", 1.0),
+}
+
+
+@pytest.mark.parametrize("lit", BEAMS)
+def test_options_keep_tol(engine, lit):
     """Weights, beam and mask together, against the oracle that has its own."""
     make, grid = SCENES["moving"]
-    beam = pysas.Beam([0.0, 1.0, -0.25], 0.05, np.radians(14.0))
+    beam = BEAMS[lit]
     echoes = make().replace(beam=beam)
     rng = np.random.default_rng(4)
     weights = rng.standard_normal((16, 6)) + 1j * rng.standard_normal((16, 6))

@@ -1,6 +1,8 @@
 """What trees of sub-apertures rest on where neighbours differ: bands of all traces, rays for short, squinted and bistatic
 groups, records of every trace, tables near records' ends."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,6 @@ import pysas
 from pysas.engine import tree
 from pysas.engine.traces import TRACE
 from pysas.planning import subapertures
-from pysas.planning.subapertures import Group, Medium
 
 BACKENDS = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
 C, FS, FC, B = 1500.0, 40e3, 100e3, 30e3
@@ -133,7 +134,9 @@ def test_over_sampled_records_that_begin_beside_the_image(monkeypatch, over, tol
     assert error(image) <= 1
 
 
-@pytest.mark.parametrize("width, rate, half", [(6, 1.2, 8), (6, 1.45, 8), (8, 1.4, 10), (8, 1.6, 10)])
+@pytest.mark.parametrize(
+    "width, rate, half", [(6, 1.2, 8), (6, 1.45, 8), (8, 1.4, 10), (8, 1.6, 10), (8, 1.31, 8), (8, 1.7, 8)]
+)
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, np.pi / 2])
 @pytest.mark.parametrize("length", [0.05, 0.3, 1.5, 8.0])
 def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, bearing, length):
@@ -144,10 +147,9 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
     ends = np.array([[-length / 2, 0, 0], [length / 2, 0, 0]])
     trace = np.zeros(2, TRACE)
     trace["tx"] = trace["rx"] = ends
-    members = Group(np.arange(2), np.zeros(3), length, np.array([1.0, 0, 0]), 0.0)
+    medium = SimpleNamespace(c=C, fc=FC, fs=FS, band=B / 2 / FS)
     low, high = bearing - 0.05, bearing + 0.05
-    step = C / (4 * B / 2 * rate)
-    beam, _ = subapertures.spacing(members, trace, Medium(C, FC, B), 0.0, (low, high), (away, away + 1), step, taps)
+    beam, _ = subapertures.spacing(trace, np.zeros(3), medium, 0.0, (low, high), (away, away + 1), taps)
 
     def echo(angle):
         distance = np.sqrt(away**2 + length**2 / 4 - np.outer([-1, 1], away * length * np.cos(angle)))
@@ -165,18 +167,14 @@ def test_rays_hold_the_spectrum_of_the_outermost_traces(width, rate, half, beari
     assert worst <= 1.3 * taps.worst
 
 
-def test_a_tree_of_too_many_nodes_is_not_grown():
-    trace = np.zeros(2, TRACE)
-    trace["tx"][:, 0] = trace["rx"][:, 0] = -2.0, 2.0
-    centres = trace["tx"].copy()
-    members, along = subapertures.group(np.arange(2), centres)
-    reads = subapertures.Readings(0.0, np.array([[-1.0, 1.0]]), np.array([[20.0, 40.0]]))
-    taps = tree.taps(6, 1.2, 8)
-    grown = [
-        subapertures.make_subtree(members, along, (2,), trace, centres, Medium(C, FC, B), 0.0, reads, 0.02, taps, left)
-        for left in (100_000, 10_000_000)
-    ]
-    assert grown[0] is None and grown[1] is not None
+def test_sub_images_of_too_many_nodes_are_not_made():
+    """Pixels of a metre, pings far apart: nodes would be ten thousand times as many as the pixels."""
+    tx = line(128, 0.3)
+    echoes, error = survey(tx, tx, grid := plane(y=40.0, step=1.0), 1e-2, samples=3000, before=1300)
+    image = pysas.ffbp(echoes, grid, 1e-2, backend="numba")
+    assert image.report.notes == ("summed directly: a tree would take longer",) and error(image) <= 1
+    with pytest.raises(ValueError, match="expected all terms to go through the tree, found: a tree would take longer"):
+        pysas.ffbp(echoes, grid, 1e-2, fallback=False, backend="numba")
 
 
 def test_a_fixed_transmitter_is_cut_by_its_phase_centres():
@@ -188,9 +186,9 @@ def test_a_fixed_transmitter_is_cut_by_its_phase_centres():
 
 
 def test_tracks_are_cut_into_no_more_pieces_than_they_have_pings():
-    """However small the pieces asked for: a platform that stands still while its receivers drift has almost no path."""
+    """However many are asked for: a platform that stands still while its receivers drift has almost no path."""
     centres = np.linspace(0, 1e-3, 7)[:, None] * np.array([1.0, 0, 0])
-    pieces = subapertures.cut_track(np.repeat(centres, 2, axis=0), np.repeat(np.arange(7), 2), 1e-12)
+    pieces = subapertures.cut_track(np.repeat(centres, 2, axis=0), np.repeat(np.arange(7), 2), 1e-12, 1, 1000)
     assert [list(piece) for piece in pieces] == [[2 * i, 2 * i + 1] for i in range(7)]
     velocity = np.where(ALTERNATE[:, None], 30.0, -30.0) * [1.0, 0, 0]
     echoes, error = survey(0 * line(), 0 * line(), grid := plane(nx=16, ny=16), 1e-2, before=700, velocity=velocity)

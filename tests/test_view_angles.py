@@ -9,7 +9,7 @@ from test_tolerance import engine
 import pysas
 from pysas import circular
 from pysas.engine import engine_of, native
-from pysas.engine.traces import TRACE
+from pysas.engine.traces import BEAM, CONE, FAN, TRACE, record
 from pysas.planning import view_angles
 from pysas.planning.scene import Scene
 
@@ -103,7 +103,7 @@ def test_a_tree_and_direct_sums_weigh_alike(engine, monkeypatch):
     """Some pixels through the tree, those across the record's ends directly, whichever would be faster."""
     monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     echoes = survey(pings=200, turn=0.25)
-    grid = pysas.Grid.plane(8 + 0.03 * np.arange(70), -1 + 0.05 * np.arange(40))
+    grid = pysas.Grid.plane(8 + 0.03 * np.arange(160), -1 + 0.05 * np.arange(40))
     image = pysas.ffbp(echoes, grid, tol=1e-2, weights=UNIFORM, backend=engine)
     assert 0.2 < image.report.factorised_share < 0.95
     assert error(image, exact(echoes, grid)) < 1e-2
@@ -288,7 +288,8 @@ def crossing_case(name, seed):
     channels = int(rng.choice([1, 1, 2]))
     beam = None
     if rng.random() < 0.3:
-        beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=rng.uniform(0.4, 1.5))
+        half = rng.uniform(0.4, 1.5)
+        beam = pysas.Beam([0.0, 1.0, 0.0], 0.1, half, "fan" if half < 1 else "cone", 0.5 if half % 0.2 < 0.1 else 0.0)
     x, y = np.round(rng.uniform((-6, 2), (6, 14)), 1)  # round: pixels lie on tracks and in line with them
     step, width = rng.choice([0.02, 0.05, 0.25]), int(rng.choice([1, 9, 33, 70]))
     grid = pysas.Grid.plane(x + step * np.arange(width), y + step * np.arange(int(rng.choice([1, 12]))))
@@ -309,10 +310,11 @@ def test_tracks_that_cross_themselves_keep_tol(name, seed, engine):
         assert truth[2] == 0 or error(image, truth) < tol
 
 
-def test_beams_edges_across_the_image(engine):
+@pytest.mark.parametrize(("shape", "taper"), [("fan", 0.0), ("fan", 0.6), ("cone", 0.0), ("cone", 0.6)])
+def test_beams_edges_across_the_image(engine, shape, taper):
     """Each view that comes in or goes changes the mean of those that light a pixel."""
     tx = line(120, 30)
-    beam = pysas.Beam(boresight=np.array([0.0, 1.0, 0.0]), length=0.1, half_angle=0.3)
+    beam = pysas.Beam([0.0, 1.0, 0.0], 0.1, 0.3, shape, taper)
     grid = pysas.Grid.plane(0.05 * np.arange(64), 20 + 0.05 * np.arange(20))
     echoes = noise_from(tx, grid, beam=beam)
     truth = exact(echoes, grid, 40)
@@ -387,11 +389,11 @@ def test_a_plan_tells_of_them():
         assert not pysas.backproject(echoes, outside, weights=UNIFORM).data.any()
 
 
-def test_the_narrowest_beams_hold_what_kernels_take(engine):
+@pytest.mark.parametrize("shape", [CONE, FAN])
+def test_the_narrowest_beams_hold_what_kernels_take(engine, shape):
     """Edges a part in 10^4 from a point, which cosines of 2e-7 rad do not tell apart: of the views lit the mean is 1."""
     rng = np.random.default_rng(3)
-    cosine = float(np.cos(2e-7))
-    limit = np.arcsin(np.sqrt((1 - cosine) * (1 + cosine)))
+    limit = 2e-7
     trace = np.zeros(400, TRACE)
     turn = np.sort(rng.uniform(0, 6, 400))
     towards = -np.stack([np.cos(turn), np.sin(turn), 0.3 + 0 * turn], axis=1) / np.hypot(1, 0.3)
@@ -401,6 +403,8 @@ def test_the_narrowest_beams_hold_what_kernels_take(engine):
     point = np.array([[1.25, -0.5, 0.75]])
     trace["tx"] = trace["rx"] = point - 8 * towards
     trace["boresight"] = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
+    trace["axis"] = np.cos(angle)[:, None] * aside - np.sin(angle)[:, None] * towards
     found = np.empty((1, 400))
-    engine_of(engine).arcs(trace, 1, cosine, point, np.arange(400), found, 1)
+    beam = record(BEAM, shape=shape, half_angle=limit, full_angle=limit)
+    engine_of(engine).arcs(trace, 1, beam, point, np.arange(400), found, 1)
     np.testing.assert_allclose(np.mean(found[0, lit]), 1, rtol=1e-12)

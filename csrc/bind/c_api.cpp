@@ -23,11 +23,16 @@ struct pysas_plan {
 
 namespace {
 
-// Sizes of pysas_options that callers may have: the first had no method.
+// Sizes that callers may have: the first options had no method, the first surveys cones without taper alone.
 constexpr std::size_t options_sizes[] = {offsetof(pysas_options, method), sizeof(pysas_options)};
+constexpr std::size_t survey_sizes[] = {offsetof(pysas_survey, beam_shape), sizeof(pysas_survey)};
 
-bool known(std::size_t size) {
-    return std::find(std::begin(options_sizes), std::end(options_sizes), size) != std::end(options_sizes);
+// What an older caller's struct does not have is zero; false: no size that this library knows.
+template <typename Struct, std::size_t N>
+bool take(const Struct* from, const std::size_t (&sizes)[N], Struct& to) {
+    if (std::find(std::begin(sizes), std::end(sizes), from->struct_size) == std::end(sizes)) return false;
+    std::memcpy(&to, from, from->struct_size);
+    return true;
 }
 
 template <typename F>
@@ -73,13 +78,12 @@ int pysas_plan_create(const pysas_survey* survey, const pysas_grid* grid, const 
     if (!plan) return PYSAS_ERROR_ARGUMENT;
     *plan = nullptr;
     if (!survey || !grid || !options) return PYSAS_ERROR_ARGUMENT;
-    if (survey->struct_size != sizeof *survey || grid->struct_size != sizeof *grid || !known(options->struct_size)) {
+    pysas_options all{};
+    pysas_survey whole{};
+    if (!take(survey, survey_sizes, whole) || grid->struct_size != sizeof *grid || !take(options, options_sizes, all))
         return PYSAS_ERROR_STRUCT;
-    }
-    pysas_options all{};  // what an older caller's struct does not have is zero
-    std::memcpy(&all, options, options->struct_size);
     return guarded([&] {
-        pysas::Plan made = pysas::plan(pysas::scene_of(*survey, *grid, all), pysas::wish_of(all));
+        pysas::Plan made = pysas::plan(pysas::scene_of(whole, *grid, all), pysas::wish_of(all));
         const std::string shape = std::to_string(grid->height) + " x " + std::to_string(grid->width);
         std::string words = made.describe(shape, 0);
         pysas::Tick tick;

@@ -50,12 +50,12 @@ py::array_t<std::int64_t> first_taps(const Filter& filter) {
     return py::array_t<std::int64_t>(static_cast<py::ssize_t>(filter.first.size()), filter.first.data());
 }
 
-py::array_t<std::uint64_t> view_arcs(const py::array& trace, int channels, double cos_beam, const Array<double>& points,
-                                     const Array<std::int64_t>& order, const py::array& out, int threads,
-                                     const py::object& tick) {
+py::array_t<std::uint64_t> view_arcs(const py::array& trace, int channels, const py::array& beam,
+                                     const Array<double>& points, const Array<std::int64_t>& order,
+                                     const py::array& out, int threads, const py::object& tick) {
     const Tick check = ticker(tick);
     if (points.ndim() != 2 || points.shape(1) != 3) throw py::value_error("arcs: rows of points");
-    const Viewers viewers{records<Trace>(trace, "trace"), trace.size(), channels, cos_beam};
+    const Viewers viewers{records<Trace>(trace, "trace"), trace.size(), channels, *records<Beam>(beam, "beam")};
     py::array_t<std::uint64_t> pattern(points.shape(0));
     std::uint64_t* const patterns = pattern.mutable_data();
     const auto call = [&](auto real) {
@@ -98,8 +98,9 @@ void translate(std::exception_ptr pointer) {
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Compiled part of the engine.";
     py::register_exception_translator(&translate);
-    PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, t0, kept, interval);
-    PYBIND11_NUMPY_DTYPE(Model, c, fc, fs, rate, last, cos_beam, near, run);
+    PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, axis, t0, kept, interval);
+    PYBIND11_NUMPY_DTYPE(Beam, shape, half_angle, full_angle);
+    PYBIND11_NUMPY_DTYPE(Model, c, fc, fs, rate, last, beam, near, run);
     bind_plans(m);
     m.def("compiler", &compiler, "Name and version of the compiler that built this extension.");
     m.def("levels", &levels, "Instruction sets this build has and this machine runs, worst first.");
@@ -119,6 +120,6 @@ PYBIND11_MODULE(_core, m) {
         .def_property_readonly("rate", &Filter::rate, "Intervals per sample.");
     m.def("design", &design_filter, "band"_a, "degree"_a, "phases"_a, "step"_a, "error"_a, "least"_a, "most"_a,
           "A filter, with its measured error.");
-    m.def("arcs", &view_arcs, "trace"_a, "channels"_a, "cos_beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a,
-          "tick"_a, "Arcs of view angle at points, and the pattern of the views at each.");
+    m.def("arcs", &view_arcs, "trace"_a, "channels"_a, "beam"_a, "points"_a, "order"_a, "out"_a, "threads"_a, "tick"_a,
+          "Arcs of view angle at points, and the pattern of the views at each.");
 }

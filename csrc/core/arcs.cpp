@@ -28,7 +28,7 @@ class Circle {
   public:
     explicit Circle(const Viewers& viewers)
         : viewers_(viewers),
-          sine_(std::sqrt((1 - viewers.cos_beam) * (1 + viewers.cos_beam))),
+          light_(light_of(viewers.beam)),
           angle_(static_cast<std::size_t>(viewers.count)),
           seen_(static_cast<std::size_t>(viewers.count)),
           lit_(static_cast<std::size_t>(viewers.count)),
@@ -100,17 +100,8 @@ class Circle {
             seen_[i] = seen;
             const double a = std::atan2(y, x);
             angle_[i] = a < 0 ? a + turn : a;
-            lit_[i] = true;
-            if (viewers_.cos_beam > -1) {
-                // by sines, as kernels do: cosines lose the smallest angles
-                const double* bore = t.boresight;
-                const double cross[3] = {there[1] * bore[2] - there[2] * bore[1],
-                                         there[2] * bore[0] - there[0] * bore[2],
-                                         there[0] * bore[1] - there[1] * bore[0]};
-                const double across = std::sqrt(cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]);
-                const double along = -(there[0] * bore[0] + there[1] * bore[1] + there[2] * bore[2]);
-                lit_[i] = across * viewers_.cos_beam <= along * sine_;
-            }
+            const double out[3] = {-there[0], -there[1], -there[2]};
+            lit_[i] = lights(light_, t, out);
         }
         if (same) return;
         order_.clear();
@@ -209,7 +200,7 @@ class Circle {
     }
 
     const Viewers& viewers_;
-    double sine_;  // of the beams' half-angle
+    Light light_;
     std::vector<double> angle_;
     std::vector<std::uint8_t> seen_, lit_, open_;
     std::vector<std::size_t> order_, group_, size_;

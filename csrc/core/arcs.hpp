@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "core/kernels.hpp"
+#include "core/light.hpp"
 #include "core/threads.hpp"
 
 namespace pysas {
@@ -14,7 +15,7 @@ struct Viewers {
     const Trace* traces;
     std::int64_t count;
     int channels;
-    double cos_beam;  // of the half-angle; -1: no beam
+    Beam beam;
 };
 
 // Arcs at `n` points (n, 3) of the `kept` traces `order`: out (n, kept). All traces are seen, and the mean is 1 over

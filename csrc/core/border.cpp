@@ -11,7 +11,7 @@ namespace pysas {
 void normalise(double (&vector)[3]) {
     double most = 0, power = 0;
     for (const double part : vector) most = std::max(most, std::abs(part));
-    if (most == 0) throw Error(Code::argument, "boresight: zero");
+    if (most == 0) throw Error(Code::argument, "boresight or axis: zero");
     for (double& part : vector) {
         part /= most;
         power += part * part;

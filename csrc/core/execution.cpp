@@ -150,7 +150,7 @@ class Direct {
         // rows of whole blocks
         std::vector<Real> own(static_cast<std::size_t>((count + across - 1) / across * across * traces));
         const Viewers viewers{recipe.traces.data(), static_cast<std::int64_t>(recipe.traces.size()),
-                              static_cast<int>(recipe.views->channels), recipe.model.cos_beam};
+                              static_cast<int>(recipe.views->channels), recipe.model.beam};
         arcs(viewers, places.data(), count, order_.data(), traces, own.data(), nullptr, run_.threads,
              run_.progress.poll());
         run_.totals.sum_seconds += watch.lap();

@@ -61,8 +61,9 @@ inline void with_degree(int degree, const Call& call) {
 }
 
 // A term counts up to this many samples beyond its record's ends, where the trace is read at the end, and up to this
-// angle beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge
-// count whatever the rounding, and far less than anything physical. Said in pysas.h and pysas.reference.exact too.
+// angle beyond the edge of a beam without taper: far more than places in float64 are rounded by, so that pixels put on
+// an edge count whatever the rounding, and far less than anything physical. Said in pysas.h and pysas.reference.exact
+// too.
 constexpr double edge_samples = 1e-4, edge_angle = 1e-7;
 // Nearer than this to a record's ends, in samples, every pixel's own delay decides: places in float reach beyond
 // tables.
@@ -75,19 +76,43 @@ struct Trace {
     double tx[3], rx[3];  // m, at the start of transmission
     double velocity[3];   // of the receiver, m/s
     double boresight[3];  // of length 1, or zeros
+    double axis[3];       // along a fan's element, of length 1, or zeros
     double t0;            // time of sample 0 of the record, s
     double kept;          // number of the first sample kept
     double interval;      // for Numba's kernels alone: the trace's first interval in a table of all
 };
 
+// What transmitters light: a place by its angle off boresight (cone), or off the plane across the axis, on boresight's
+// side (fan). pysas.engine.traces has the same record.
+constexpr double no_beam = 0, cone = 1, fan = 2;
+
+struct Beam {
+    double shape;
+    double half_angle;  // the largest that counts
+    double full_angle;  // the largest whose weight is 1: less than half_angle where the beam has a taper
+};
+
+constexpr int max_ramp = 24, ramp_powers = 7;
+
+// The same as kernels take it. Over the taper a term weighs e^2 Q(e), where e falls from 1 at full_angle to 0 at
+// half_angle: 1 - tan(b/4) / tan(b_all/4) of the angle b beyond full_angle, with Q as a sum of Chebyshev polynomials on
+// [0, 1]; or, of fans in float, `per` (sine of half_angle - sine of the angle), with Q in powers of that.
+struct Light {
+    double shape, sine_half, cosine_half, sine_full, cosine_full;
+    int terms;  // of the Chebyshev sum; 0: a hard edge
+    double per_quarter, chebyshev[max_ramp];
+    bool quick;  // whether kernels in float may take the powers
+    double per, power[ramp_powers];
+};
+
 // What traces have in common; pysas.engine.traces has the same record.
 struct Model {
     double c, fc, fs;
-    double rate;      // intervals per sample
-    double last;      // last sample number that counts
-    double cos_beam;  // of the largest angle that counts, the half-angle and edge_angle; -1: no beam
-    double near;      // distance below which every pixel's delay is exact, m
-    double run;       // traces that a sum in float may have before it is added to one in double; 0: any number
+    double rate;  // intervals per sample
+    double last;  // last sample number that counts
+    Beam beam;
+    double near;  // distance below which every pixel's delay is exact, m
+    double run;   // traces that a sum in float may have before it is added to one in double; 0: any number
 };
 
 // How a block's delays become a polynomial: exact delays at `count` nodes in [-1, 1], and the matrix from their
@@ -116,6 +141,7 @@ struct Terms {
     const Trace* traces;
     std::int64_t n_trace;
     Model model;
+    Light light;
     Kind kind;
     Nodes nodes;
     const Lattice* lattice;  // or null: every term weighs 1, or what `weights` say

@@ -137,6 +137,7 @@ Tables<Real>::Tables(const Recipe& recipe, std::int64_t n_sample, std::int64_t m
     std::copy(recipe.sine.begin(), recipe.sine.end(), terms_.sine);
     std::copy(recipe.cosine.begin(), recipe.cosine.end(), terms_.cosine);
     terms_.model = recipe.model;
+    terms_.light = recipe.light;
     terms_.kind = recipe.kind;
     terms_.nodes = recipe.nodes;
     if (!recipe.lattice) return;

@@ -70,6 +70,7 @@ struct ViewWeights {
 
 struct Recipe {
     Model model;
+    Light light;
     Kind kind;
     bool narrow;                // float arithmetic
     std::int64_t channels;      // traces of a ping

@@ -180,6 +180,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
             job.weights = straight ? weights.of_lines(terms, lines, job.rows, job.count)
                                    : weights.of_points(terms, job.points, job.rows, job.count, left);
             run_sum(kernels, job);
+            if (job.evaluated == 0) return;  // beams leave most tiles dark for most batches
             counted[static_cast<std::size_t>(task)] = job.evaluated * pixels / (job.rows * job.count);
             using value = typename Pixel::value_type;
             for (int r = 0; r < job.rows; ++r) {

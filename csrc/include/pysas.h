@@ -9,11 +9,12 @@
  *
  * The image is the sum over pings and channels of s(tau) exp(+2 pi i fc tau), where tau is a pixel's two-way travel
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
- * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off boresight is at most the half-angle; rounding
+ * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off its middle is at most the half-angle; rounding
  * does not decide: 1e-4 samples beyond a record's end (the trace is read at the end) and 1e-7 rad beyond the half-angle
- * still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where level^2 is the sum
- * of the terms' squares. Samples that no pixel reads may be far brighter than those that pixels do: they are looked at
- * when data arrive, and where they are so bright that no sum in double keeps tol, the call says so.
+ * of a beam without taper still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels,
+ * where level^2 is the sum of the terms' squares. Samples that no pixel reads may be far brighter than those that
+ * pixels do: they are looked at when data arrive, and where they are so bright that no sum in double keeps tol, the
+ * call says so.
  */
 #ifndef PYSAS_H
 #define PYSAS_H
@@ -60,6 +61,11 @@ enum {
     PYSAS_AUTO = 2            /* whichever has the least predicted time for one image, planning included */
 };
 
+enum {
+    PYSAS_BEAM_CONE = 0, /* the angle of a pixel is that off boresight */
+    PYSAS_BEAM_FAN = 1   /* ... off the plane across beam_axis, of which only boresight's side is lit */
+};
+
 typedef struct pysas_survey {
     size_t struct_size;
     int64_t n_ping, n_channel, n_sample;
@@ -74,8 +80,13 @@ typedef struct pysas_survey {
     const double* velocity;  /* (n_ping, n_channel, 3) receivers' velocities, below c / 2, or NULL: none */
     const double* weights;   /* (n_ping, n_channel) factors of the terms, or NULL: 1 */
     const double* boresight; /* (n_ping, 3) directions of any length but 0, or NULL: no beam */
-    double beam_half_angle;  /* terms 1e-7 rad or more outside it do not count, radians in (0, pi]; not read without
-                                boresight */
+    double beam_half_angle;  /* terms outside it do not count, radians in (0, pi], of a fan in (0, pi/2]; not read
+                              * without boresight */
+    int32_t beam_shape;      /* PYSAS_BEAM_CONE, also for callers whose struct ends above, or PYSAS_BEAM_FAN */
+    double beam_taper; /* share of the half-angle over which a term's weight falls from 1 to 0 as cos^2, 0 to 1; if
+                        * not 0, at least 1e-5 radians of it */
+    const double* beam_axis; /* (n_ping, 3) directions along a fan's element, of any length but 0, or NULL: boresight x
+                              * vertical (z) */
 } pysas_survey;
 
 typedef struct pysas_grid {

@@ -23,6 +23,8 @@ struct Float {
     static vec fma(vec a, vec b, vec c) { return _mm256_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_ps(a, b, c); }
     static vec abs(vec a) { return _mm256_andnot_ps(set(-0.0F), a); }
+    static vec min(vec a, vec b) { return _mm256_min_ps(a, b); }
+    static vec max(vec a, vec b) { return _mm256_max_ps(a, b); }
     static vec one_where_le(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ), set(1.0F)); }
     static vec one_where_eq(vec a, vec b) { return _mm256_and_ps(_mm256_cmp_ps(a, b, _CMP_EQ_OQ), set(1.0F)); }
     static idx bits(vec a) { return _mm256_castps_si256(a); }
@@ -61,6 +63,8 @@ struct Double {
     static vec fnma(vec a, vec b, vec c) { return _mm256_fnmadd_pd(a, b, c); }
     static vec div(vec a, vec b) { return _mm256_div_pd(a, b); }
     static vec sqrt(vec a) { return _mm256_sqrt_pd(a); }
+    static vec inverse_root(vec a) { return div(set(1.0), sqrt(max(a, set(1e-280)))); }
+    static vec root(vec a) { return sqrt(a); }
     static vec abs(vec a) { return _mm256_andnot_pd(set(-0.0), a); }
     static vec min(vec a, vec b) { return _mm256_min_pd(a, b); }
     static vec max(vec a, vec b) { return _mm256_max_pd(a, b); }

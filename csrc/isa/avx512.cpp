@@ -23,6 +23,8 @@ struct Float {
     static vec fma(vec a, vec b, vec c) { return _mm512_fmadd_ps(a, b, c); }
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_ps(a, b, c); }
     static vec abs(vec a) { return _mm512_abs_ps(a); }
+    static vec min(vec a, vec b) { return _mm512_min_ps(a, b); }
+    static vec max(vec a, vec b) { return _mm512_max_ps(a, b); }
     static vec one_where_le(vec a, vec b) {
         return _mm512_maskz_mov_ps(_mm512_cmp_ps_mask(a, b, _CMP_LE_OQ), set(1.0F));
     }
@@ -66,6 +68,16 @@ struct Double {
     static vec fnma(vec a, vec b, vec c) { return _mm512_fnmadd_pd(a, b, c); }
     static vec div(vec a, vec b) { return _mm512_div_pd(a, b); }
     static vec sqrt(vec a) { return _mm512_sqrt_pd(a); }
+    // 1 / sqrt and sqrt to within a few roundings, by Newton's method from 14 bits: a sixth of the time of the
+    // instructions. Squares below 1e-280 are taken for that.
+    static vec inverse_root(vec a) {
+        a = max(a, set(1e-280));
+        const vec half = mul(a, set(0.5));
+        vec y = _mm512_rsqrt14_pd(a);
+        for (int i = 0; i < 2; ++i) y = mul(y, fnma(mul(half, y), y, set(1.5)));
+        return y;
+    }
+    static vec root(vec a) { return mul(a, inverse_root(a)); }
     static vec abs(vec a) { return _mm512_abs_pd(a); }
     static vec min(vec a, vec b) { return _mm512_min_pd(a, b); }
     static vec max(vec a, vec b) { return _mm512_max_pd(a, b); }

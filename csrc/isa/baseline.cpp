@@ -57,6 +57,10 @@ struct Plain {
     static vec sqrt(vec a) {
         return each([&](int i) { return ::sqrt(a.at[i]); });
     }
+    static vec inverse_root(vec a) {
+        return each([&](int i) { return 1 / ::sqrt(a.at[i] > Real(1e-280) ? a.at[i] : Real(1e-280)); });
+    }
+    static vec root(vec a) { return sqrt(a); }
     static vec abs(vec a) {
         return each([&](int i) { return a.at[i] < 0 ? -a.at[i] : a.at[i]; });
     }

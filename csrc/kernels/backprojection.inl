@@ -11,6 +11,9 @@
 #include "kernels/weights.inl"
 
 // after those four
+#include "kernels/light.inl"
+
+// after that
 #include "kernels/exact.inl"
 
 template <typename Real>
@@ -105,11 +108,96 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     }
 }
 
+// How a line's pixels weigh for the beam: alike, by the sine of their angle, or each as it is said.
+enum class Shade { none, fading, each };
+
+template <class V, int N>
+struct Shades {
+    using real = typename V::real;
+    Shade of[tile_rows];
+    bool fading;                                                        // whether any line is
+    alignas(64) real middle[tile_rows], coefficient[N - 1][tile_rows];  // of `per` times the sine, in x^1, ...
+    alignas(64) real each[tile_rows][block];
+};
+
+// Sines of a fan's angles along a tile's lines.
+template <class V, int N>
+void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<V, N>& at, int rows,
+           Shades<V, N>& out) {
+    using D = Double;
+    using vec = D::vec;
+    const vec per = D::set(job.light.per);
+    for (int r = 0; r < rows; r += D::n) {
+        vec sine[N];
+        for (int j = 0; j < N; ++j) {
+            const vec x = D::sub(D::load(at.x[j] + r), D::set(trace.tx[0])),
+                      y = D::sub(D::load(at.y[j] + r), D::set(trace.tx[1])),
+                      z = D::sub(D::load(at.z[j] + r), D::set(trace.tx[2]));
+            const vec near = D::mul(per, D::inverse_root(D::fma(x, x, D::fma(y, y, D::mul(z, z)))));
+            const vec aside =
+                D::fma(x, D::set(trace.axis[0]), D::fma(y, D::set(trace.axis[1]), D::mul(z, D::set(trace.axis[2]))));
+            sine[j] = D::mul(aside, near);
+        }
+        D::store(out.middle + r, sine[N / 2]);
+        for (int q = 1; q < N; ++q) {
+            vec sum = D::set(0.0);
+            for (int j = 0; j < N; ++j) {
+                if (j != N / 2) sum = D::fma(D::set(job.nodes.fit[q][j]), D::sub(sine[j], sine[N / 2]), sum);
+            }
+            D::store(out.coefficient[q - 1] + r, sum);
+        }
+    }
+}
+
+// Weights of vectors of a line for a fan that fades.
+template <class V, int N>
+class Fade {
+  public:
+    using real = typename V::real;
+    using vec = typename V::vec;
+
+    explicit Fade(const Light& light) : top_(V::set(static_cast<real>(light.per * light.sine_half))) {
+        for (int q = 0; q < ramp_powers; ++q) power_[q] = V::set(static_cast<real>(light.power[q]));
+    }
+
+    // Of line `r`; returns how many pixels weigh nothing.
+    int operator()(const Shades<V, N>& shades, int r, Vectors vectors, int count, const real* x, real* weight) const {
+        const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.middle[r]);
+        vec c[N - 1];
+        for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
+        for (int s = vectors.begin; s < vectors.end; ++s) {
+            const vec at = V::load(x + s * V::n);
+            vec sine = c[N - 2];
+            for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
+            sine = V::fma(sine, at, middle);
+            const vec e = V::max(zero, V::min(one, V::sub(top_, V::abs(sine)))), square = V::mul(e, e);
+            // in pairs: half as long a chain as one power after another
+            vec w = power_[ramp_powers - 1];
+            for (int q = ramp_powers - 3; q >= 0; q -= 2) w = V::fma(w, square, V::fma(power_[q + 1], e, power_[q]));
+            V::store(weight + s * V::n, V::mul(w, square));
+        }
+        const auto dark = [&](int s) {
+            int found = 0;
+            for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) found += weight[m] == 0;
+            return found;
+        };
+        // at a line's ends alone: a fan's middle lies between its edges
+        const int last = vectors.end - 1;
+        return dark(vectors.begin) + (last > vectors.begin ? dark(last) : 0);
+    }
+
+  private:
+    static_assert(ramp_powers % 2 == 1, "powers are taken in pairs after the last");
+    vec top_, power_[ramp_powers];
+};
+
 // Add one trace's terms of some vectors of a tile's lines, or (`Whole`: a sixth faster) of all of those lines that have
-// any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null.
+// any. `x`: places of a block's pixels in [-1, 1]; `level`: their weights, or null; `shades`: what they weigh for the
+// beam, or null. Returns how many pixels weigh nothing for it.
 template <bool Whole, class V, int N, int D, int T, int W>
-void add_lines(const TileJob<typename V::real>& tile, const typename V::real* table, const Polynomials<V, N>& poly,
-               const Levels<V>* level, const typename V::real* x, const Vectors* vectors) {
+std::int64_t add_lines(const TileJob<typename V::real>& tile, const typename V::real* table,
+                       const Polynomials<V, N>& poly, const Levels<V>* level, const Shades<V, N>* shades,
+                       const typename V::real* x, const Vectors* vectors) {
     using real = typename V::real;
     using vec = typename V::vec;
     const Terms<real>& job = *tile.terms;
@@ -121,10 +209,19 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
     const vec ratio = V::set(static_cast<real>(job.model.fc / (job.model.fs * job.model.rate)));
     const vec round = V::set(magic<real>());
     const vec lane = lanes<V>();
+    const Fade<V, N> fade(job.light);
     const int used = (tile.count + V::n - 1) / V::n;
+    std::int64_t dark = 0;
     for (int r = 0; r < rows; ++r) {
         if (vectors[r].end == 0) continue;
         const int begin = Whole ? 0 : vectors[r].begin, end = Whole ? used : vectors[r].end;
+        alignas(64) real faded[block];
+        const real* weight = nullptr;
+        if (shades && shades->of[r] == Shade::each) weight = shades->each[r];
+        if (shades && shades->of[r] == Shade::fading) {
+            dark += fade(*shades, r, {begin, end}, tile.count, x, faded);
+            weight = faded;
+        }
         vec c[N - 1];
         for (int q = 0; q < N - 1; ++q) c[q] = V::set(poly.coefficient[q][r]);
         const vec turns = V::set(poly.turns[r]);
@@ -148,11 +245,17 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
             vec sine, cosine, re, im;
             phase(V::load(cycles + s * V::n), sine, cosine);
             if (level) weigh<V>(*level, s, r, lane, sine, cosine);
+            if (weight) {
+                const vec w = V::load(weight + s * V::n);
+                sine = V::mul(sine, w);
+                cosine = V::mul(cosine, w);
+            }
             read<V, D, W>(table + poly.base[s][r], stride, W == 0 ? V::number(k) : V::bits(k),
                           V::load(position + s * V::n), re, im);
             add_turned<V>(re, im, sine, cosine, all_re + r * block + s * V::n, all_im + r * block + s * V::n);
         }
     }
+    return dark;
 }
 
 // The parts of a sum that polynomials' lengths are compiled into: lines of which some vectors are summed, their windows
@@ -160,8 +263,8 @@ void add_lines(const TileJob<typename V::real>& tile, const typename V::real* ta
 template <class V, int N>
 struct Adders {
     using real = typename V::real;
-    using Lines = void (*)(const TileJob<real>&, const real*, const Polynomials<V, N>&, const Levels<V>*, const real*,
-                           const Vectors*);
+    using Lines = std::int64_t (*)(const TileJob<real>&, const real*, const Polynomials<V, N>&, const Levels<V>*,
+                                   const Shades<V, N>*, const real*, const Vectors*);
     Lines part[2], whole[4];
     void (*exact)(const TileJob<real>&, const real*, Exact<V>&, int, Vectors);
 };
@@ -175,21 +278,85 @@ Adders<V, N> adders() {
             &add_exact<V, D, T>};
 }
 
-// Vectors of a line that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
-// those that its polynomial serves (`far`: if any), while `exact` is given each run of the others.
-template <class V, class Exactly>
-Vectors split(const Trace& trace, const Model& model, const Segments& lines, int r, int count, Reach heard, Reach lit,
-              bool far, const Exactly& exactly) {
+// Places of some of a line's pixels, the last again beyond it, from a transmitter.
+inline void away_from(const Trace& trace, const Segments& lines, int r, int first, int count, Double::vec (&out)[3]) {
+    using V = Double;
+    alignas(64) static constexpr double number[] = {0, 1, 2, 3, 4, 5, 6, 7};
+    static_assert(V::n <= 8, "numbers of all lanes");
+    const V::vec pixel = V::min(V::add(V::load(number), V::set(first)), V::set(count - 1));
+    for (int axis = 0; axis < 3; ++axis) {
+        const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
+        out[axis] = V::fma(pixel, V::set(step), V::set(lines.begin[axis][r] - trace.tx[axis]));
+    }
+}
+
+// What the pixels of vector `s` weigh for the beam; returns how many of those that there are weigh nothing.
+template <class V>
+int shade_each(const Trace& trace, const Light& light, const Segments& lines, int r, int s, int count,
+               typename V::real* out) {
+    int dark = 0;
+    for (int m = s * V::n; m < (s + 1) * V::n; m += Double::n) {
+        Double::vec away[3], counts;
+        away_from(trace, lines, r, m, count, away);
+        const Double::vec weight = brightness(trace, light, away, counts);
+        alignas(64) double each[Double::n];
+        Double::store(each, counts);
+        for (int i = 0; i < Double::n && m + i < count; ++i) dark += each[i] == 0;
+        Double::store(out + m, weight);
+    }
+    return dark;
+}
+
+// How vectors of a line lie in a fan, by the sines at their ends: `slack` is what these leave out between them.
+template <class V, int N>
+struct Between {
+    double value[block / V::n + 1], slack, edge, full;
+
+    Between(const Light& light, const Shades<V, N>& shades, const Places<V, N>& at, int r, double nearness)
+        : edge(light.per * light.sine_half), full(light.per * light.sine_full) {
+        double bend = 0;
+        for (int q = 1; q < N; ++q) bend += q * (q - 1.0) * ::fabs(static_cast<double>(shades.coefficient[q - 1][r]));
+        const double width = at.edge[1] - at.edge[0];
+        // what the polynomial is wrong by on a line half as long as `nearness` of its distance: see settings.cpp
+        const double wrong = light.per * 0.125 * nearness * nearness * nearness * nearness * nearness;
+        slack = bend * width * width / 8 + wrong + 1e-5 * edge;
+        for (int s = 0; s <= at.used; ++s) {
+            double sum = shades.coefficient[N - 2][r];
+            for (int q = N - 3; q >= 0; --q) sum = sum * at.edge[s] + shades.coefficient[q][r];
+            value[s] = sum * at.edge[s] + shades.middle[r];
+        }
+    }
+    Reach operator[](int s) const {
+        const double a = value[s], b = value[s + 1], left = ::fabs(a), right = ::fabs(b);
+        const double least = (a < 0) != (b < 0) ? 0 : left < right ? left : right;
+        if (least - slack > edge) return Reach::outside;
+        const double most = (left > right ? left : right) + slack;
+        return most < full ? Reach::inside : most < edge ? Reach::fading : Reach::across;
+    }
+};
+
+// Vectors of line `r` that the beam or the record's ends cut, or that is too near for its polynomial: the first run of
+// those that its polynomial serves (`far`: if any), while `exact` is given each run of the others. `heard` and `lit`
+// tell of a vector. `dark` of the pixels served weigh nothing.
+template <class V, int N, class Heard, class Lit, class Exactly>
+Vectors cut(const Trace& trace, const Light& light, const Segments& lines, int r, int count, bool far,
+            const Heard& heard, const Lit& lit, Shades<V, N>& shades, int& dark, const Exactly& exactly) {
     Vectors kept = {0, 0}, exact = {0, 0};
     for (int s = 0; s * V::n < count; ++s) {
-        const Reach part =
-            reach(trace, model, lines, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count, heard, lit);
-        if (part == Reach::outside) continue;
-        const bool served = far && part == Reach::inside && (kept.end == 0 || kept.end == s);
+        const Reach h = heard(s), l = lit(s);
+        if (h == Reach::outside || l == Reach::outside) continue;
+        const bool served = far && h == Reach::inside && (kept.end == 0 || kept.end == s);
         Vectors& run = served ? kept : exact;
         if (!served && run.end > 0 && run.end < s) exactly(run);
         if (run.end < s || run.end == 0) run.begin = s;
         run.end = s + 1;
+        if (served && shades.of[r] == Shade::each) {
+            typename V::real* to = shades.each[r];
+            if (l == Reach::inside)
+                V::store(to + s * V::n, V::set(1));
+            else
+                dark += shade_each<V>(trace, light, lines, r, s, count, to);
+        }
     }
     if (exact.end > 0) exactly(exact);
     return kept;
@@ -228,6 +395,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
                 reach2 += half * half;
             }
             segments.scale[r] = reach2 > 0 ? 1 / (4 * reach2) : 0.0;
+            segments.half[r] = ::sqrt(reach2);
         }
         radius = sphere(corners[0], 2 * rows, centre);
     } else {
@@ -240,6 +408,9 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     Vectors vectors[tile_rows];
     Levels<V> scratch;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
+    const Light& light = job.light;
+    Shades<V, N> shades;
+    Depths depths;
     Exact<V> places;
     const auto exactly = [&](std::int64_t number, int r, Vectors some) {
         evaluated += locate<V>(tile, number, level, r, some, places);
@@ -250,9 +421,15 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     for (std::int64_t i = 0; i < job.n_trace; ++i) {
         const Trace& trace = job.traces[i];
         const real* table = job.table + i * job.trace_stride;
-        double nearest;
-        const Reach where = reach(trace, job.model, centre, radius, nearest);
-        if (where == Reach::outside) continue;
+        const double there = norm(centre[0] - trace.tx[0], centre[1] - trace.tx[1], centre[2] - trace.tx[2]);
+        const double back = norm(centre[0] - trace.rx[0], centre[1] - trace.rx[1], centre[2] - trace.rx[2]);
+        const Reach lit = lit_of(trace, light, centre, radius, there);
+        if (lit == Reach::outside) continue;
+        const double out = there > radius ? there - radius : 0.0, home = back > radius ? back - radius : 0.0;
+        const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
+        const Reach heard = window(trace, job.model, speed, out + home, there + back + 2 * radius);
+        if (heard == Reach::outside) continue;
+        const double nearest = out < home ? out : home;
         sums.next();
         if (!straight) {
             for (int r = 0; r < rows; ++r) {
@@ -262,32 +439,59 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
         }
         if (level) levels<V>(*tile.weights, i, rows, count, scratch);
         bool whole = true;  // lines that have any vectors have all
+        bool shaded = false;
         for (int r = 0; r < rows; ++r) vectors[r] = {0, tile.active[r] ? at.used : 0};
-        if (where == Reach::across || nearest < job.model.near) {
+        const bool near = nearest < job.model.near;
+        if (lit != Reach::inside || heard != Reach::inside || near) {
             alignas(64) double least[2][tile_rows], most[2][tile_rows];
-            distances(trace.tx, segments, rows, least[0], most[0]);
-            if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
-            const int home = monostatic ? 0 : 1;
-            const double speed = norm(trace.velocity[0], trace.velocity[1], trace.velocity[2]);
+            const int own = monostatic ? 0 : 1;
+            if (heard != Reach::inside || near) {
+                distances(trace.tx, segments, rows, least[0], most[0]);
+                if (!monostatic) distances(trace.rx, segments, rows, least[1], most[1]);
+            }
+            const bool fades = light.shape == fan && lit != Reach::inside;
+            if (fades) sines<V, N>(job, trace, at, rows, shades);
+            if (lit != Reach::inside) depths.measure(trace, light, segments, rows);
             bool any = false;
             for (int r = 0; r < rows; ++r) {
                 if (vectors[r].end == 0) continue;
-                const Reach heard =
-                    window(trace, job.model, speed, least[0][r] + least[home][r], most[0][r] + most[home][r]);
-                const double middle = (count - 1) / 2.0;
-                const Reach lit =
-                    reach(trace, job.model, segments, r, middle, middle, count, Reach::inside, Reach::across);
-                const bool far = least[0][r] >= job.model.near && least[home][r] >= job.model.near;
-                if (heard != Reach::inside || lit != Reach::inside || !far) {
+                const Reach line_lit = lit == Reach::inside ? lit : depths[r];
+                const Reach line_heard =
+                    heard == Reach::inside
+                        ? heard
+                        : window(trace, job.model, speed, least[0][r] + least[own][r], most[0][r] + most[own][r]);
+                const bool far = !near || (least[0][r] >= job.model.near && least[own][r] >= job.model.near);
+                int dark = 0;
+                shades.of[r] = line_lit == Reach::inside ? Shade::none
+                               : light.quick && far      ? Shade::fading
+                                                         : Shade::each;
+                const bool quickly = line_lit == Reach::inside || (line_lit == Reach::fading && light.quick);
+                if (line_heard != Reach::inside || !quickly || !far) {
                     vectors[r] = {0, 0};
-                    if (heard == Reach::outside || lit == Reach::outside) continue;
-                    vectors[r] = split<V>(trace, job.model, segments, r, count, heard, lit, far,
-                                          [&](Vectors some) { exactly(i, r, some); });
+                    if (line_heard == Reach::outside || line_lit == Reach::outside) continue;
+                    const auto piece = [&](int s) {
+                        return Piece(trace, segments, r, s * V::n + (V::n - 1) / 2.0, (V::n - 1) / 2.0, count);
+                    };
+                    const auto when = [&](int s) {
+                        return line_heard == Reach::across ? piece(s).heard(trace, job.model) : line_heard;
+                    };
+                    const auto run = [&](const auto& where) {
+                        return cut<V, N>(trace, light, segments, r, count, far, when, where, shades, dark,
+                                         [&](Vectors some) { exactly(i, r, some); });
+                    };
+                    if (line_lit == Reach::across && fades && far && depths.before[r] > depths.reach[r]) {
+                        const Between<V, N> between(light, shades, at, r, segments.half[r] / nearest);
+                        vectors[r] = run([&](int s) { return between[s]; });
+                    } else {
+                        vectors[r] = run(
+                            [&](int s) { return line_lit == Reach::across ? piece(s).lit(trace, light) : line_lit; });
+                    }
                 }
                 if (vectors[r].end == 0) continue;
                 const int last = vectors[r].end * V::n;
-                evaluated += (last < count ? last : count) - vectors[r].begin * V::n;
+                evaluated += (last < count ? last : count) - vectors[r].begin * V::n - dark;
                 any = true;
+                shaded = shaded || shades.of[r] != Shade::none;
                 whole = whole && vectors[r].begin == 0 && vectors[r].end == at.used;
             }
             if (!any) continue;
@@ -295,10 +499,10 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
             evaluated += static_cast<std::int64_t>(active) * count;
         }
         const double span = polynomials<V, N>(job, trace, at, rows, poly);
-        // how many registers hold what a vector of pixels reads, if any number does
+        // as many registers as the window of each vector of pixels needs; gathers take any number
         const int wide = span < V::n - 0.5 ? 1 : span < 2 * V::n - 0.5 ? 2 : span < 4 * V::n - 0.5 ? 3 : 0;
         const auto lines = whole ? add.whole[wide] : add.part[wide == 1];
-        lines(tile, table, poly, level, x, vectors);
+        evaluated -= lines(tile, table, poly, level, shaded ? &shades : nullptr, x, vectors);
     }
     sums.finish();
     tile.evaluated = evaluated;

@@ -14,13 +14,14 @@ struct Exact {
 };
 
 // Of vectors of line `r` and trace number `number`; terms outside the record or the beam weigh nothing. Returns how
-// many do not. Angles are compared by sines, sin(angle - limit) <= 0, which keep the smallest apart; cosines do not.
+// many do not.
 template <class V, Kind K>
 std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, const Levels<V>* level, int r,
                     Vectors vectors, Exact<V>& out) {
     using real = typename V::real;
     using W = Double;
     const Model& model = tile.terms->model;
+    const Light& light = tile.terms->light;
     const Trace& trace = tile.terms->traces[number];
     alignas(64) double x[3][block];
     const int begin = vectors.begin * V::n, padded = vectors.end * V::n;  // by the last pixel
@@ -35,24 +36,18 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
     W::vec counted = W::set(0.0);
     const W::vec half = W::set(0.5), first = W::set(0.0), last = W::set(model.last);
     const W::vec before = W::set(-edge_samples), behind = W::set(model.last + edge_samples);
-    const double* bore = trace.boresight;
-    const W::vec cosine = W::set(model.cos_beam), sine = W::set(::sqrt((1 - model.cos_beam) * (1 + model.cos_beam)));
-    const auto minor = [](W::vec a, double b, W::vec c, double d) {
-        return W::fma(a, W::set(b), W::mul(c, W::set(-d)));
-    };
     for (int m = begin; m < padded; m += W::n) {
         const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
         const W::vec tau = delay<K>(trace, model.c, px, py, pz);
         const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
         W::vec counts = W::mul(W::one_where_le(before, index), W::one_where_le(index, behind));
-        if (model.cos_beam > -1.0) {
-            const W::vec dx = W::sub(px, W::set(trace.tx[0])), dy = W::sub(py, W::set(trace.tx[1])),
-                         dz = W::sub(pz, W::set(trace.tx[2]));
-            const W::vec cx = minor(dy, bore[2], dz, bore[1]), cy = minor(dz, bore[0], dx, bore[2]),
-                         cz = minor(dx, bore[1], dy, bore[0]);
-            const W::vec across = W::sqrt(W::fma(cx, cx, W::fma(cy, cy, W::mul(cz, cz))));
-            const W::vec along = W::fma(dx, W::set(bore[0]), W::fma(dy, W::set(bore[1]), W::mul(dz, W::set(bore[2]))));
-            counts = W::mul(counts, W::one_where_le(W::mul(across, cosine), W::mul(along, sine)));
+        W::vec weight = W::set(1.0);
+        if (light.shape != no_beam) {
+            const W::vec away[3] = {W::sub(px, W::set(trace.tx[0])), W::sub(py, W::set(trace.tx[1])),
+                                    W::sub(pz, W::set(trace.tx[2]))};
+            W::vec within;
+            weight = brightness(trace, light, away, within);
+            counts = W::mul(counts, within);
         }
         // where a term does not count the index becomes the first kept sample's, which is in the table
         const W::vec read = W::max(first, W::min(index, last));
@@ -62,7 +57,7 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
         W::store_index(out.interval + m, low);
         const W::vec cycles = W::mul(W::set(model.fc), tau);
         W::store(out.turns + m, W::sub(cycles, W::floor(W::add(cycles, half))));
-        W::store(out.weight + m, counts);
+        W::store(out.weight + m, W::mul(counts, weight));
         if (m + W::n <= tile.count) {
             counted = W::add(counted, counts);
         } else {

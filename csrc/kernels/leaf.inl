@@ -201,6 +201,51 @@ void add_breaking(const LeafJob& job, const float* table, const Phase<V, 6>& pha
     add_turned<V>(a, b, sine, cosine, job.re + r * block + s * V::n, job.im + r * block + s * V::n);
 }
 
+// Weights of a leaf's traces for a beam that fades, along all rays; traces of a ping have the same.
+template <class V>
+struct Fading {
+    alignas(64) double x[weight_nodes][tile_rows], y[weight_nodes][tile_rows];
+    double z;
+    int count;
+    const Trace* last = nullptr;
+
+    Fading(const LeafJob& job, const double* cosine, const double* sine) : z(job.image->plane), count(job.count) {
+        const SubImage& image = *job.image;
+        const int width = job.count > least_width ? job.count : least_width;
+        for (int j = 0; j < weight_nodes; ++j) {
+            const double node = static_cast<double>(image.i0 + job.begin) + j * (width - 1.0) / (weight_nodes - 1);
+            const double ground = ground_of(node * image.step, image.centre[2] - image.plane);
+            for (int r = 0; r < tile_rows; ++r) {
+                x[j][r] = image.centre[0] + ground * cosine[r];
+                y[j][r] = image.centre[1] + ground * sine[r];
+            }
+        }
+    }
+
+    static bool alike(const Trace& a, const Trace& b) {
+        for (int k = 0; k < 3; ++k) {
+            if (a.tx[k] != b.tx[k] || a.boresight[k] != b.boresight[k] || a.axis[k] != b.axis[k]) return false;
+        }
+        return true;
+    }
+
+    void operator()(const Trace& trace, const Light& light, int rows, Levels<V>& out) {
+        if (last && alike(trace, *last)) return;
+        last = &trace;
+        using D = Double;
+        alignas(64) float at[weight_nodes][tile_rows];
+        for (int j = 0; j < weight_nodes; ++j) {
+            for (int r = 0; r < rows; r += D::n) {
+                const D::vec away[3] = {D::sub(D::load(x[j] + r), D::set(trace.tx[0])),
+                                        D::sub(D::load(y[j] + r), D::set(trace.tx[1])), D::set(z - trace.tx[2])};
+                D::vec counts;
+                D::store(at[j] + r, brightness(trace, light, away, counts));
+            }
+        }
+        levels<V>(at, rows, count, out);
+    }
+};
+
 template <class V, int D>
 void leaf_traces(LeafJob& job) {
     const Terms<float>& terms = *job.terms;
@@ -230,7 +275,9 @@ void leaf_traces(LeafJob& job) {
     Runs<float> sums(job.re, job.im, rows, model.run);
     Drifts<V> drift;
     Levels<V> level;
-    drift.level = job.weights ? &level : nullptr;
+    const bool fades = terms.light.terms > 0;
+    Fading<V> fading(job, cosine, sine);
+    drift.level = job.weights || fades ? &level : nullptr;
     const int used = (job.count + V::n - 1) / V::n;
     for (std::int64_t i = 0; i < terms.n_trace; ++i) {
         sums.next();
@@ -242,7 +289,10 @@ void leaf_traces(LeafJob& job) {
             drifts<V, Kind::stop_and_hop>(job, trace, at, ratio, drift);
         else
             drifts<V, Kind::moving>(job, trace, at, ratio, drift);
-        if (drift.level) levels<V>(*job.weights, i, rows, job.count, level);
+        if (fades)
+            fading(trace, terms.light, rows, level);
+        else if (drift.level)
+            levels<V>(*job.weights, i, rows, job.count, level);
         expand<V>(job, phase, static_cast<float>(ratio), terms.plane_stride, drift);
         for (int s = 0; s < used; ++s) {
             const float* key = drift.key[s];

@@ -16,6 +16,10 @@ typename V::vec lanes() {
     return V::load(place);
 }
 
+// From values at weight_nodes places along each line.
+template <class V>
+void levels(const typename V::real (&at)[weight_nodes][tile_rows], int rows, int count, Levels<V>& out);
+
 template <class V>
 void levels(const Weights<typename V::real>& weights, std::int64_t trace, int rows, int count, Levels<V>& out) {
     using real = typename V::real;
@@ -37,25 +41,32 @@ void levels(const Weights<typename V::real>& weights, std::int64_t trace, int ro
             for (int j = 0; j < weight_nodes; ++j) at[j][r] = r < rows ? value[(weight_nodes * r + j) * n] : 0;
         }
     }
+    levels<V>(at, rows, count, out);
+}
+
+template <class V>
+void levels(const typename V::real (&at)[weight_nodes][tile_rows], int rows, int count, Levels<V>& out) {
+    using real = typename V::real;
+    using vec = typename V::vec;
     const vec half = V::set(real(0.5)), third = V::set(real(4.0 / 3));
     for (int r = 0; r < rows; r += V::n) {
-        const vec middle = V::load(at[2] + r);
-        const vec even1 = V::fma(half, V::add(V::load(at[1] + r), V::load(at[3] + r)), V::sub(V::set(0), middle));
-        const vec even2 = V::fma(half, V::add(V::load(at[0] + r), V::load(at[4] + r)), V::sub(V::set(0), middle));
+        const vec value = V::load(at[2] + r);
+        const vec even1 = V::fma(half, V::add(V::load(at[1] + r), V::load(at[3] + r)), V::sub(V::set(0), value));
+        const vec even2 = V::fma(half, V::add(V::load(at[0] + r), V::load(at[4] + r)), V::sub(V::set(0), value));
         const vec odd1 = V::mul(half, V::sub(V::load(at[3] + r), V::load(at[1] + r)));
         const vec odd2 = V::mul(half, V::sub(V::load(at[4] + r), V::load(at[0] + r)));
         const vec p4 = V::mul(third, V::fnma(V::set(4), even1, even2));
         const vec p3 = V::mul(third, V::fnma(V::set(2), odd1, odd2));
-        const vec p[weight_nodes] = {middle, V::sub(odd2, p3), V::sub(even2, p4), p3, p4};
+        const vec p[weight_nodes] = {value, V::sub(odd2, p3), V::sub(even2, p4), p3, p4};
         const double length = (count > least_width ? count : least_width) - 1;
         const real wide = static_cast<real>((V::n - 1) / length);
         for (int s = 0; s * V::n < count; ++s) {
             // value, slope and curve in a vector's middle, by dividing by what leads to it again and again
-            const vec at = V::set(static_cast<real>((2 * s * V::n + V::n - 1) / length - 1));
+            const vec middle = V::set(static_cast<real>((2 * s * V::n + V::n - 1) / length - 1));
             vec q[weight_nodes];
             for (int i = 0; i < weight_nodes; ++i) q[i] = p[i];
             for (int k = 0; k < 3; ++k) {
-                for (int i = weight_nodes - 2; i >= k; --i) q[i] = V::fma(q[i + 1], at, q[i]);
+                for (int i = weight_nodes - 2; i >= k; --i) q[i] = V::fma(q[i + 1], middle, q[i]);
             }
             V::store(out.power[s][0] + r, q[0]);
             V::store(out.power[s][1] + r, V::mul(V::set(wide), q[1]));

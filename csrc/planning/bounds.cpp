@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <iterator>
 
+#include "core/polynomials.hpp"
+
 namespace pysas {
 namespace {
 
@@ -29,6 +31,34 @@ std::int64_t guard(double error) {
 // margin of the tolerance sweep.
 double tree_error(const TapDesign& taps, std::size_t stages) {
     return 1.2 * std::sqrt(static_cast<double>(stages)) * std::hypot(taps.worst, taps.rms);
+}
+
+// The weight's second derivative jumps by (pi/width)^2/2 at both ends of the taper on both sides: from there its
+// spectrum falls as that over (2 pi k)^3, in cycles a radian, and the square of the weight is that of 2 (full + 3/8
+// width) rad of weight 1. Of frequencies beyond the 1/rate of what rays hold taps miss no more than (1.2 y)^2, where y
+// goes from there to 1 at all they hold; of what lies beyond that twice as much as there is.
+double held_across(double across, double rate, const Fading& fading) {
+    if (!(fading.width > 0)) return rate * across;
+    constexpr int steps = 24;
+    const double band = across / (2 * pi), jump = pi * pi / (2 * fading.width * fading.width);
+    const double weight = 2 * (fading.full + 0.375 * fading.width);
+    const auto left = [&](double held) {
+        const double first = held / rate - band, last = held - band, step = (last - first) / steps;
+        if (!(first > 0)) return HUGE_VAL;
+        double sum = 4 / (5 * std::pow(last, 5));
+        for (int i = 0; i < steps; ++i) {
+            const double y = (i + 0.5) / steps;
+            sum += step * std::pow(1.2 * y, 4) / std::pow(first + step * (i + 0.5), 6);
+        }
+        return std::sqrt(8 * sum / weight) * jump / std::pow(2 * pi, 3);
+    };
+    double low = rate * band, high = 2 * low + rate / fading.width;
+    while (left(high) > fading.error) high *= 2;
+    while (high > low * (1 + 1e-3)) {
+        const double middle = (low + high) / 2;
+        (left(middle) <= fading.error ? high : low) = middle;
+    }
+    return 2 * pi * high;
 }
 
 // They take a twentieth of the budget where 32 are few enough: shorter ones cost more time than they give.

@@ -18,6 +18,8 @@ namespace pysas {
 namespace {
 
 constexpr std::int64_t most = std::int64_t{1} << 40;  // of any one size, and of their products
+// a taper over less, rad, is an edge of which roundings would decide; of the angle between a fan's axis and boresight
+constexpr double least_ramp = 1e-5, least_sine = 1e-6;
 
 [[noreturn]] void refuse(const std::string& text) { throw Error(Code::argument, text); }
 
@@ -35,23 +37,61 @@ double distance(const double* a, const double* b) {
     return std::sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
 }
 
-// Whether a box lies in every beam that counts: its corners do, and beams up to a right angle off boresight are convex.
-bool all_lit(const Survey& survey, const double low[3], const double high[3]) {
-    const double cosine = std::max(survey.model.cos_beam, 0.0) + 1e-9;
+// Whether a box lies where every beam that counts lights all alike: its corners do. Cones up to a right angle are
+// convex. So is what a fan holds on one side: across its axis a place is at least as far away as along one direction,
+// here the box's centre's, and |aside| <= tan(angle) of that is a wedge.
+bool all_lit(const Survey& survey, const Point& low, const Point& high) {
+    const Beam& beam = survey.model.beam;
+    if (beam.shape != fan && beam.full_angle >= pi) return true;
+    const double sine = std::sin(beam.full_angle) * (1 - 1e-9), cosine = std::cos(beam.full_angle) + 1e-9;
     for (std::size_t i = 0; i < survey.traces.size(); ++i) {
         if (survey.weights[i] == 0.0) continue;
         const Trace& trace = survey.traces[i];
+        const Point at = point(trace.tx), look = point(trace.boresight), axis = point(trace.axis);
+        const Point middle = 0.5 * (low + high) - at, across = middle - dot(middle, axis) * axis;
+        const Point out = (1 / std::max(length(across), 1e-300)) * across;
         for (int corner = 0; corner < 8; ++corner) {
-            double along = 0, square = 0;
-            for (int axis = 0; axis < 3; ++axis) {
-                const double away = (corner >> axis & 1 ? high : low)[axis] - trace.tx[axis];
-                along += away * trace.boresight[axis];
-                square += away * away;
-            }
-            if (!(along >= cosine * std::sqrt(square))) return false;
+            const Point away =
+                Point{(corner & 1 ? high : low).x, (corner & 2 ? high : low).y, (corner & 4 ? high : low).z} - at;
+            const double before = dot(away, look);
+            const bool held = beam.shape == fan ? before > 0 && std::abs(dot(away, axis)) * std::max(cosine, 0.0) <=
+                                                                    dot(away, out) * sine
+                                                : before >= std::max(cosine, 1e-9) * length(away);
+            if (!held) return false;
         }
     }
     return true;
+}
+
+void check_beam(const pysas_survey& survey) {
+    if (!survey.boresight) return;
+    const bool flat = survey.beam_shape == PYSAS_BEAM_FAN;
+    if (!flat && survey.beam_shape != PYSAS_BEAM_CONE) refuse("beam_shape");
+    const double widest = flat ? pi / 2 : pi;
+    if (!(survey.beam_half_angle > 0 && survey.beam_half_angle <= widest * (1 + 1e-9)))
+        refuse("beam_half_angle: not in (0, pi], of a fan (0, pi/2]");
+    if (!(survey.beam_taper >= 0 && survey.beam_taper <= 1)) refuse("beam_taper: not in [0, 1]");
+    if (survey.beam_taper > 0 && survey.beam_taper * survey.beam_half_angle < least_ramp)
+        refuse("beam_taper: over less than 1e-5 rad");
+}
+
+// Directions of length 1 of a ping's beam.
+void aim(Trace& trace, const pysas_survey& given, std::int64_t ping) {
+    std::copy_n(given.boresight + 3 * ping, 3, trace.boresight);
+    normalise(trace.boresight);
+    if (given.beam_shape != PYSAS_BEAM_FAN) return;
+    const double* look = trace.boresight;
+    if (given.beam_axis) {
+        std::copy_n(given.beam_axis + 3 * ping, 3, trace.axis);
+    } else {  // across the vertical
+        trace.axis[0] = look[1];
+        trace.axis[1] = -look[0];
+        trace.axis[2] = 0;
+    }
+    if (given.beam_axis || std::hypot(look[0], look[1]) > least_sine) normalise(trace.axis);
+    const Point a = point(trace.axis), b = point(trace.boresight), rest = b - dot(a, b) * a;
+    if (!(length(a) > 0.5 && length(rest) > least_sine))
+        refuse(given.beam_axis ? "beam_axis: along boresight" : "boresight: vertical, and no beam_axis");
 }
 
 void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_options& options) {
@@ -65,14 +105,14 @@ void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     finite(survey.weights, traces, "weights");
     finite(survey.ping_t0, survey.n_ping, "ping_t0");
     finite(survey.boresight, 3 * survey.n_ping, "boresight");
+    finite(survey.beam_axis, 3 * survey.n_ping, "beam_axis");
     finite(&survey.t0, 1, "t0");
     for (const double value : {survey.fs, survey.fc, survey.c}) {
         if (!(value > 1e-9 && value <= 1e15)) refuse("survey: fs, fc and c must be positive and finite");
     }
     if (!(survey.bandwidth >= 0 && survey.bandwidth <= survey.fs / 1.1 * (1 + 1e-9)))
         refuse("bandwidth: above fs / 1.1");
-    if (survey.boresight && !(survey.beam_half_angle > 0 && survey.beam_half_angle <= pi * (1 + 1e-9)))
-        refuse("beam_half_angle: not in (0, pi]");
+    check_beam(survey);
     for (std::int64_t i = 0; survey.velocity && i < traces; ++i) {
         const double zero[3] = {0, 0, 0};
         if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * survey.c))
@@ -153,8 +193,13 @@ Survey survey_of(const pysas_survey& given, const double origin[3], bool single)
     out.model.fc = given.fc;
     out.model.fs = given.fs;
     out.model.last = static_cast<double>(given.n_sample - 1);
-    const double widest = given.beam_half_angle + edge_angle;
-    out.model.cos_beam = given.boresight && widest < pi ? std::cos(widest) : -1.0;
+    if (given.boresight) {
+        const double edge = given.beam_taper > 0 ? 0 : edge_angle, half = given.beam_half_angle;
+        out.model.beam = {given.beam_shape == PYSAS_BEAM_FAN ? fan : cone, half + edge,
+                          (1 - given.beam_taper) * half + edge};
+    } else {
+        out.model.beam = {no_beam, pi, pi};
+    }
     for (std::int64_t i = 0; i < given.n_ping * given.n_channel; ++i) {
         const std::int64_t ping = i / given.n_channel;
         Trace trace{};
@@ -162,9 +207,8 @@ Survey survey_of(const pysas_survey& given, const double origin[3], bool single)
             trace.tx[axis] = given.tx[3 * ping + axis] - origin[axis];
             trace.rx[axis] = given.rx[3 * i + axis] - origin[axis];
             if (given.velocity) trace.velocity[axis] = given.velocity[3 * i + axis];
-            if (given.boresight) trace.boresight[axis] = given.boresight[3 * ping + axis];
         }
-        if (given.boresight && !(given.weights && given.weights[i] == 0)) normalise(trace.boresight);
+        if (given.boresight && !(given.weights && given.weights[i] == 0)) aim(trace, given, ping);
         trace.t0 = given.ping_t0 ? given.ping_t0[ping] : given.t0;
         out.traces.push_back(trace);
         out.weights.emplace_back(given.weights ? given.weights[i] : 1.0);
@@ -185,7 +229,8 @@ std::shared_ptr<const Scene> scene_of(const pysas_survey& survey, const pysas_gr
         box.high[axis] -= origin[axis];
     }
     Survey own = survey_of(survey, origin, options.dtype == PYSAS_COMPLEX64);
-    if (own.model.cos_beam > -1 && all_lit(own, box.low, box.high)) own.model.cos_beam = -1;
+    if (own.model.beam.shape != no_beam && all_lit(own, point(box.low), point(box.high)))
+        own.model.beam = {no_beam, pi, pi};
     return std::make_shared<const Scene>(std::move(own), pixels_of(grid, origin), point(box.low), point(box.high));
 }
 

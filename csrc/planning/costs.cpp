@@ -34,6 +34,10 @@ constexpr Costs known[] = {
 };
 // clang-format on
 
+// A term where a beam leaves out or weakens some, in those where it does not: blocks that it lights in part, weights by
+// powers or, where these do not serve, each in double.
+constexpr double lit_cost = 1.45, faded_cost = 3.0;
+
 // a coefficient, what a tap of its filter adds, a point of the transforms before
 constexpr double made_ns = 1.2, filter_ns = 0.05, transform_ns = 5.5;
 
@@ -81,7 +85,11 @@ double sum_seconds(const Scene& scene, const Settings& settings, const Costs& co
     if (part <= 0) return 0;
     const double term = term_ns(scene, costs, settings.narrow, settings.block, settings.near, settings.filter.degree,
                                 settings.oversampling, part);
-    return part * scene.lit() * static_cast<double>(scene.traces()) * static_cast<double>(scene.wanted) * term * 1e-9;
+    const double beam = scene.light.shape == no_beam                                     ? 1.0
+                        : scene.light.terms > 0 && !settings.quick && settings.block > 0 ? faded_cost
+                                                                                         : lit_cost;
+    return beam * part * scene.lit() * static_cast<double>(scene.traces()) * static_cast<double>(scene.wanted) * term *
+           1e-9;
 }
 
 }  // namespace pysas

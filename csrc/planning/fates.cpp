@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/light.hpp"
 #include "core/polynomials.hpp"
 #include "planning/draw.hpp"
 
@@ -99,6 +100,45 @@ class Records {
     double about_ = 0, soonest_ = HUGE_VAL, latest_ = -HUGE_VAL, fastest_ = 0;
 };
 
+// How a group's transmitters light pixels.
+class Beams {
+  public:
+    Beams(const Scene& scene, const Numbers& traces) : light_(scene.light) {
+        if (light_.shape == no_beam) return;
+        Numbers pings;
+        for (const std::int64_t i : traces) pings.push_back(i / scene.survey.channels);
+        for (std::size_t k = 0; k < traces.size(); ++k) {  // traces of a ping stand side by side or nearly
+            if (k > 0 && std::find(pings.begin(), pings.begin() + static_cast<std::ptrdiff_t>(k), pings[k]) !=
+                             pings.begin() + static_cast<std::ptrdiff_t>(k))
+                continue;
+            traces_.push_back(&scene.survey.traces[static_cast<std::size_t>(traces[k])]);
+        }
+    }
+
+    struct State {
+        bool lit, whole;  // by any; and where weights have no step
+    };
+    State operator()(const Point& middle, double radius) const {
+        State state{traces_.empty(), true};
+        bool dark = false, alike = false;
+        for (const Trace* trace : traces_) {
+            const Point away = middle - point(trace->tx);
+            const Lit found = lit(light_, *trace, {away.x, away.y, away.z}, radius);
+            state.lit = state.lit || found != Lit::nowhere;
+            state.whole = state.whole && found != Lit::cut;
+            dark = dark || found == Lit::nowhere;
+            alike = alike || found == Lit::alike;
+        }
+        // nodes hold weights that fade, or none at all
+        if (light_.terms == 0 && dark && alike) state.whole = false;
+        return state;
+    }
+
+  private:
+    Light light_;
+    std::vector<const Trace*> traces_;
+};
+
 // What a group's transmitters and receivers together lie beside its axis for pixels `closest` m beside it, at most.
 double off_axis(const Scene& scene, const Group& group, double closest) {
     double most = 0;
@@ -133,6 +173,27 @@ std::optional<Onto::Found> Onto::operator()(const Point& p) const {
                  std::min(std::abs(off), std::abs(side))};
 }
 
+// Sine of the angle between a group's axis and those of its fans, at most: what a fan's weights turn with the angle
+// about the group's axis. Those of cones are not alike at one range and one place along it: 1.
+double askew(const Scene& scene, const Group& group) {
+    if (scene.light.terms == 0) return 0;
+    if (scene.light.shape != fan) return 1;
+    double most = 0;
+    for (const std::int64_t i : group.traces) {
+        const Point axis = point(scene.survey.traces[static_cast<std::size_t>(i)].axis);
+        const Point across = axis - dot(axis, group.axis) * group.axis;
+        most = std::max(most, length(across));
+    }
+    return most;
+}
+
+// What the weights of a taper over `width` are wrong by where the angle off the beam is by up to `angle` what `count`
+// planes tell: their slope times that, or, where planes tell the slope, their second derivative's jump.
+double weights_wrong(double width, double angle, int count) {
+    const double slope = pi / 2 * angle / width;
+    return angle == 0 ? 0 : count == 1 ? slope : slope * slope / 2;
+}
+
 // At one range and one place along its axis a group's phases turn with the angle about that axis by what its
 // transmitters and receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev
 // nodes lacks a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2
@@ -141,7 +202,7 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
     const Survey& survey = scene.survey;
     const double highest = 2 * pi * (survey.model.fc + survey.band * survey.model.fs) / survey.model.c;
     const auto each = static_cast<std::size_t>(tiled.each);
-    double low = HUGE_VAL, high = -HUGE_VAL, most = 0;
+    double low = HUGE_VAL, high = -HUGE_VAL, most = 0, turned = 0;
     for (std::size_t i = 0; i < tiled.corners.size(); ++i) {
         if (tiled.pixels[i / each] == 0) continue;
         low = std::min(low, tiled.corners[i].z);
@@ -154,13 +215,16 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
             if (const double found = beside(onto, group, &tiled.corners[i], tiled.each); found > 0)
                 closest = std::min(closest, found);
         }
-        if (closest < HUGE_VAL)
+        if (closest < HUGE_VAL) {
             most = std::max(most, highest * off_axis(scene, group, closest) * (high - low) / 2 / closest);
+            turned = std::max(turned, askew(scene, group) * (high - low) / 2 / closest);
+        }
     }
+    const double width = survey.model.beam.half_angle - survey.model.beam.full_angle;
     double lacking = 2;
     for (int count = 1; count <= most_planes; ++count) {
         lacking *= most / count / 2;
-        if (!(lacking <= error)) continue;
+        if (!(lacking + weights_wrong(width, turned, count) <= error)) continue;
         std::vector<double> heights;
         for (int k = count - 1; k >= 0; --k)
             heights.push_back((low + high) / 2 + (high - low) / 2 * std::cos(pi * (2 * k + 1) / (2 * count)));
@@ -169,7 +233,7 @@ std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::
     return {};
 }
 
-// None is read across a beam's edge, where the sum has a step.
+// None is read across a hard edge of a beam, where the sum has a step.
 Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
                const std::vector<double>& planes, const Layout& layout, double step, double near) {
     const Model& model = scene.survey.model;
@@ -189,6 +253,7 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
     const double least = std::max(std::hypot(apart, highest), layout.clear);
     const double more = std::max(2 * reach, layout.ends * model.c / model.fs + 2 * taps * step);
     const Records records(scene, group.traces);
+    const Beams beams(scene, group.traces);
     std::vector<Onto> stack;
     if (!tiled.flat) {
         for (const double plane : planes) stack.emplace_back(group, plane);
@@ -207,7 +272,9 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
         const Point& middle = tiled.middle[tile];
         const double radius = tiled.radius[tile], ground = ground_between(middle, group.centre);
         const double away = std::hypot(std::max(ground - radius, 0.0), lowest);
-        bool read = away >= near && away - reach >= least && radius <= wide * ground && model.cos_beam <= -1;
+        const auto [lit, whole] = beams(middle, radius);
+        if (!lit) continue;
+        bool read = away >= near && away - reach >= least && radius <= wide * ground && whole;
         read =
             read && group.distance(middle) - radius - reach >= layout.apart && on_planes(&tiled.corners[each * tile]);
         const auto [inside, heard] = records(middle, radius, more, read);

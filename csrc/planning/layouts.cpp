@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "core/light.hpp"
 #include "core/polynomials.hpp"
 #include "planning/bounds.hpp"
 #include "planning/draw.hpp"
@@ -37,6 +38,28 @@ Places track_of(const Scene& scene) {
         if (count > 0) out.push_back({sum.x / count, sum.y / count, 0});
     }
     return out;
+}
+
+// A ping in the middle of the track: its place, and a trace of it.
+struct Middle {
+    Point centre;
+    const Trace* trace;
+};
+
+Middle middle_of(const Scene& scene, const Places& track) {
+    std::size_t left = track.size() / 2;
+    for (std::size_t i = 0; i < scene.heard.size(); ++i) {
+        const bool last = (i + 1) % static_cast<std::size_t>(scene.survey.channels) == 0;
+        const auto first = i - i % static_cast<std::size_t>(scene.survey.channels);
+        if (!last || std::find(&scene.heard[first], &scene.heard[first] + scene.survey.channels, 1) ==
+                         &scene.heard[first] + scene.survey.channels)
+            continue;
+        if (left-- == 0) {
+            const auto found = std::find(&scene.heard[first], &scene.heard[first] + scene.survey.channels, 1);
+            return {track[track.size() / 2], &scene.survey.traces[static_cast<std::size_t>(found - &scene.heard[0])]};
+        }
+    }
+    return {track[track.size() / 2], &scene.survey.traces.front()};
 }
 
 Places every(const Places& places, std::int64_t most) {
@@ -102,7 +125,8 @@ std::vector<double> lengths_of(const Places& track, const Sample& sample) {
 // The image from the middle one of groups of at most `length` m.
 struct Sight {
     double length, groups;
-    double served;  // share of the pixels that are far enough away along the ground
+    double lit;     // share of the pixels that its beams light
+    double served;  // share of these that are far enough away along the ground
     double area;    // of these, over their ground distances, m
     double spread;  // of their bearings, rad
     double depth;   // of their ground distances, m
@@ -118,12 +142,17 @@ double extent_of(const Sample& sample, bool down) {
     return sum > 0 ? sum / static_cast<double>(count) : 0.01;
 }
 
-std::optional<Sight> sight_of(const Sample& sample, const Point& centre, double area, double path, double longest) {
+std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Middle& middle, double area, double path,
+                              double longest) {
+    const Point& centre = middle.centre;
     const auto pixels = static_cast<double>(sample.at.size());
-    double inverse = 0, least = HUGE_VAL, most = -HUGE_VAL;
+    double inverse = 0, least = HUGE_VAL, most = -HUGE_VAL, lit = 0;
     std::vector<double> bearings;
     std::complex<double> mean = 0;
     for (const Point& pixel : sample.at) {
+        const Point away = pixel - point(middle.trace->tx);
+        if (!lights(scene.light, *middle.trace, {away.x, away.y, away.z})) continue;
+        ++lit;
         const double x = pixel.x - centre.x, y = pixel.y - centre.y, ground = std::hypot(x, y);
         if (!(ground >= near_lengths * std::min(longest, path))) continue;
         inverse += 1 / std::max(ground, 1e-9);
@@ -141,7 +170,8 @@ std::optional<Sight> sight_of(const Sample& sample, const Point& centre, double 
     }
     return Sight{std::min(longest, path) + 1e-6,
                  std::max(1.0, std::ceil(path / longest)),
-                 static_cast<double>(bearings.size()) / pixels,
+                 lit / pixels,
+                 static_cast<double>(bearings.size()) / lit,
                  area * inverse / pixels,
                  right - left,
                  most - least};
@@ -151,6 +181,7 @@ std::optional<Sight> sight_of(const Sample& sample, const Point& centre, double 
 std::vector<Sight> sights_of(const Scene& scene) {
     const Places track = track_of(scene);
     if (track.empty()) return {};
+    const Middle middle = middle_of(scene, track);
     const Sample sample = sample_of(scene.pixels);
     const Places paces = every(track, paced);
     double path = 0;
@@ -158,7 +189,7 @@ std::vector<Sight> sights_of(const Scene& scene) {
     const double area = extent_of(sample, true) * extent_of(sample, false);  // by its corners' spans
     std::vector<Sight> out;
     for (const double longest : lengths_of(track, sample)) {
-        if (auto sight = sight_of(sample, track[track.size() / 2], area, path, longest)) out.push_back(*sight);
+        if (auto sight = sight_of(scene, sample, middle, area, path, longest)) out.push_back(*sight);
     }
     return out;
 }
@@ -171,7 +202,7 @@ double seconds_of(const Scene& scene, const Sight& sight, const Layout& layout, 
     const double step = survey.model.c / (4 * half * rate), shortest = survey.model.c / (survey.model.fc + half);
     const double mean = sight.area / std::max(sight.spread, 1e-9);  // length of a ray in the image
     const auto nodes = [&](double longest) {
-        const double beam = std::min(widest_beam, shortest / (2 * rate * longest));
+        const double beam = std::min(widest_beam, pi / held_across(2 * pi * longest / shortest, rate, layout.fading));
         return (sight.spread / beam + reach) *
                (std::min(mean + reach * beam * mean, sight.depth + mean) / step + reach);
     };
@@ -184,7 +215,7 @@ double seconds_of(const Scene& scene, const Sight& sight, const Layout& layout, 
     const double traces = static_cast<double>(scene.audible) / sight.groups / parts;  // of a leaf
     work += nodes(longest) * parts * (traces * costs.tree.term + costs.tree.node);
     const double read = costs.tree.read[0] + costs.tree.read[1] * width;
-    return 1e-9 * sight.groups * (work + static_cast<double>(scene.wanted) * sight.served * read);
+    return 1e-9 * sight.groups * (work + static_cast<double>(scene.wanted) * sight.lit * sight.served * read);
 }
 
 // Slant range from which polynomials of degree 4 along 64 nodes of a ray hold to within `error` rad for the two-way
@@ -222,15 +253,54 @@ double clear_of(const Scene& scene, double height, double reach, double rate, do
     return high;
 }
 
+// Slant ranges from which a beam's weights keep to `error` along the rays of all levels, and of leaves of `extent` m.
+//
+// Along a ray the angle off the beam changes by what the ray's height bends it, and as fast as it is off the
+// transmitter: by a(r) a metre. The jumps of the weight's second derivative leave (see taper_band) a^2/(16 pi width^2
+// k^2) beyond the band that nodes have to spare, +-k cycles a metre; and leaves read their weights off quartics through
+// five places along 64 nodes, which miss 0.0153 of the jump times the square of half their length times a.
+struct Faded {
+    double all, leaf;
+};
+Faded faded_from(const Scene& scene, const Layout& layout, double height, double baseline, double extent,
+                 double error) {
+    const Model& model = scene.survey.model;
+    const double width = model.beam.half_angle - model.beam.full_angle,
+                 band = 2 * scene.survey.band * model.fs / model.c;
+    const double half = 31.5 * model.c / (4 * scene.survey.band * model.fs * layout.taps.rate);
+    const double spare = (layout.spare - 1) * band, jump = pi * pi / (2 * width * width);
+    const auto levels = static_cast<double>(layout.fans.size() + 1);
+    const auto from = [&](double off, double a2) {  // of the largest a^2 that is allowed
+        double low = std::max(height, 1e-3) * (1 + 1e-6), high = 1e9;
+        const auto holds = [&](double r) {
+            const double ground2 = r * r - height * height;
+            const double a = scene.light.sine_half * height * height / (r * ground2) + off / (r * r);
+            return a * a <= a2;
+        };
+        if (holds(low)) return low;
+        while (high > low * (1 + 1e-6)) {
+            const double middle = std::sqrt(low * high);
+            (holds(middle) ? high : low) = middle;
+        }
+        return high;
+    };
+    return {from(layout.length / 2 + baseline, error / 2 / levels * 16 * pi * width * width * spare * spare),
+            from(extent / 2 + baseline, error / 2 / (0.0153 * jump * half * half))};
+}
+
 }  // namespace
 
 std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs,
-                                                  double spare, double direct) {
+                                                  double spare, double faded, double direct) {
     std::optional<std::pair<Layout, double>> best;
     double least = 0;
     for (const Sight& sight : sights_of(scene)) {
         for (const auto& [fans, taps] : kinds) {
-            const Layout layout{sight.length, fans, taps, spare, 0, 0, 0};
+            const Beam& beam = scene.survey.model.beam;
+            const double each = faded / static_cast<double>(fans.size() + 1);
+            const Fading fading =
+                faded > 0 ? Fading{beam.half_angle - beam.full_angle, beam.full_angle, each} : Fading{};
+            const Layout layout{sight.length, fans, taps, spare, fading, 0, 0, 0};
             const double trees = seconds_of(scene, sight, layout, costs);
             const double cost = trees + (1 - sight.served) * direct;
             if (best && !(cost < least)) continue;
@@ -241,7 +311,7 @@ std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kind
     return best;
 }
 
-Layout cleared(const Scene& scene, Layout layout, double height, double error, double merge, double ends) {
+Layout cleared(const Scene& scene, Layout layout, double height, double error, double merge, double ends, double ramp) {
     double baseline = 0;
     for (std::size_t i = 0; i < scene.heard.size(); ++i) {
         const Trace& trace = scene.survey.traces[i];
@@ -257,6 +327,11 @@ Layout cleared(const Scene& scene, Layout layout, double height, double error, d
     away.push_back(clear_of(scene, height, (extent + baseline) / 2, layout.taps.rate, error));
     layout.clear = away.front();
     layout.apart = away.size() > 1 ? *std::max_element(away.begin() + 1, away.end()) : 0;
+    if (scene.light.terms > 0) {
+        const auto [all, leaf] = faded_from(scene, layout, height, baseline, extent, ramp);
+        layout.clear = std::max(layout.clear, layout.fans.empty() ? std::max(all, leaf) : all);
+        layout.apart = std::max(layout.apart, layout.fans.empty() ? 0 : leaf);
+    }
     layout.ends = layout.spare * scene.survey.band < held ? hushed(ends, scene.survey.band) : 0;
     return layout;
 }

@@ -84,7 +84,7 @@ class Look {
             if (!data.used[terms.trace[i]]) continue;
             trace_.push_back(terms.trace[i]);
             place_.push_back(terms.place[i]);
-            weight_.push_back(square_[static_cast<std::size_t>(terms.trace[i])]);
+            weight_.push_back(square_[static_cast<std::size_t>(terms.trace[i])] * square(terms.weight[i]));
         }
         if (trace_.empty()) return;
         own_ = std::sqrt(level(1));
@@ -154,8 +154,8 @@ class Look {
                     const Place place = place_of(scene_, trace, pixel);
                     if (!place.lit) continue;
                     const double turns = frequency * (trace.t0 * model.fs + place.index);
-                    total += std::polar(std::sqrt(square_[at]), 2 * pi * (turns - std::floor(turns)));
-                    incoherent += square_[at];
+                    total += std::polar(std::sqrt(square_[at]) * place.weight, 2 * pi * (turns - std::floor(turns)));
+                    incoherent += square_[at] * square(place.weight);
                 }
                 power += std::norm(total);
             }

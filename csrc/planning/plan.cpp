@@ -111,6 +111,8 @@ Recipe Plan::recipe() const {
     out.model.rate = settings.oversampling;
     out.model.near = settings.block ? settings.near : std::numeric_limits<double>::infinity();
     out.model.run = static_cast<double>(settings.run);
+    out.light = scene->light;
+    out.light.quick = settings.quick;
     out.kind = scene->kind;
     out.narrow = settings.narrow;
     out.channels = survey.channels;

@@ -22,6 +22,8 @@ constexpr double infinite = std::numeric_limits<double>::infinity();
 constexpr double share_positions = 0.03;  // of a budget, for polynomials of positions in up to most_merges merges
 // of a budget, for what records' ends ring with beyond the band of sub-images; it adds to these as squares do
 constexpr double share_ends = 0.2;
+// of a budget, for what a beam's taper leaves beyond the bands of sub-images across their rays, and along them
+constexpr double share_fading = 0.15, share_ramp = 0.05;
 constexpr double share_relief = 0.2;  // of a budget, for pixels read off the planes of their sub-images, where any are
 // wavelengths: beyond it sub-images have more nodes than memory holds, and double loses 1e-5 anyway
 constexpr double farthest = 1e9;
@@ -141,10 +143,12 @@ class Planner {
         out.image = tiles_of(s_, out.block);
         const bool flat = std::all_of(out.image.begin(), out.image.end(), [](const Tiled& t) { return t.flat; });
         out.relief = flat ? 0 : share_relief * tol;
-        const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief);
+        const bool fades = s_.light.terms > 0;
+        const double fading = fades ? share_fading * tol : 0, ramp = fades ? share_ramp * tol : 0;
+        const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief - fading - ramp);
         if (kinds.empty()) return {{}, "no interpolation keeps tol", {}};
         const double direct = sum_seconds(s_, plain, costs_);
-        const auto found = cheapest(s_, kinds, costs_, spare, direct);
+        const auto found = cheapest(s_, kinds, costs_, spare, fading, direct);
         if (!found) return {{}, "pixels too near the track", {}};
         if (found->second > most) return {{}, longer, "at least " + time(found->second)};
         out.layout = clear(found->first, out);
@@ -173,6 +177,7 @@ class Planner {
         if (s_.farthest > farthest * model.c / model.fc) return "range beyond " + number(farthest, 6) + " wavelengths";
         if (s_.audible == 0) return "the grid lies outside the recorded window";
         if (s_.survey.each) return "view-angle weights are every pixel's own: views change their order over the image";
+        if (s_.light.terms > 0 && s_.survey.bent) return "view-angle weights beside a beam's taper";
         if (const auto& bent = s_.survey.bent) {
             const double node = model.c / (4 * s_.survey.band * model.fs);  // from one to the next on a ray, m, at most
             if (bent->beyond < block * node) return "views change their order around the image";
@@ -198,7 +203,7 @@ class Planner {
     Layout clear(const Layout& layout, const Candidate& best) const {
         const double tol = wish_.budget;
         return cleared(s_, layout, best.height, share_phase * best.share, share_positions * tol / most_merges,
-                       share_ends * tol);
+                       share_ends * tol, share_ramp * tol);
     }
 
     // About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not
@@ -239,6 +244,7 @@ class Planner {
                                      std::hypot(tree_error(planned.layout.taps, planned.layout.fans.size() + 1), ends));
         if (merges > 0) settings.errors.emplace_back("positions", share_positions * tol * merges / most_merges);
         if (best.relief > 0) settings.errors.emplace_back("relief", best.relief);
+        if (s_.light.terms > 0) settings.errors.emplace_back("taper", (share_fading + share_ramp) * tol);
         planned.forest.slack = share_phase * best.share;
         settings.near = std::max(settings.near, best.near);  // tiles are as wide as its blocks
         Plan out{wish_, std::move(scene), std::move(settings), std::move(planned), best.block, {}, 0, {}};
@@ -255,7 +261,8 @@ class Planner {
 // Errors that tables have no part in stay what they are.
 Settings with_errors_of(Settings settings, const Settings& old) {
     for (const auto& [name, error] : old.errors) {
-        if (name == "sub-images" || name == "positions" || name == "relief") settings.errors.emplace_back(name, error);
+        if (name == "sub-images" || name == "positions" || name == "relief" || name == "taper")
+            settings.errors.emplace_back(name, error);
     }
     return settings;
 }

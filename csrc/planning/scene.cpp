@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/light.hpp"
 #include "planning/draw.hpp"
 
 namespace pysas {
@@ -204,6 +205,8 @@ Scene::Scene(Survey given, Pixels image, const Point& bottom, const Point& top)
       nearest(HUGE_VAL),
       farthest(0),
       audible(0),
+      light(light_of(survey.model.beam)),
+      faded(fit_powers(survey.model.beam, light)),
       step(longest_step(pixels)),
       slope(slope_of(pixels, survey.traces, kind == Kind::monostatic)) {
     const Model& model = survey.model;
@@ -261,7 +264,7 @@ void Scene::look() const {
             const double out = std::max(length(there), 1e-9), home = std::max(length(back), 1e-9);
             const double place = ((out + home) / model.c - trace.t0) * model.fs;
             if (!(place >= -edge_samples && place <= model.last + edge_samples)) continue;
-            if (model.cos_beam > -1 && !(dot(there, point(trace.boresight)) >= model.cos_beam * out)) continue;
+            if (!lights(light, trace, {there.x, there.y, there.z})) continue;
             distances_.push_back(std::min(out, home));
             slopes_.push_back(std::abs(dot(there, along) / out + dot(back, along) / home) / 2);
         }

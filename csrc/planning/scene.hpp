@@ -51,7 +51,7 @@ struct Bent {
 
 // What a caller knows of a survey.
 struct Survey {
-    Model model{};  // c, fc, fs, last, cos_beam; the rest is a recipe's
+    Model model{};  // c, fc, fs, last, beam; the rest is a recipe's
     double band;    // half the bandwidth, cycles per sample
     bool single;    // float samples and image
     std::int64_t channels;
@@ -79,6 +79,8 @@ class Scene {
     Numbers first, last;              // samples that any pixel can ask of each trace, within its record
     std::vector<std::uint8_t> heard;  // traces that weigh anything, of which any pixel can ask for a sample
     std::int64_t audible;             // number of them
+    Light light;                      // of the beam, and what its powers are wrong by in float
+    double faded;
     double step, slope;  // longest step of a line; share of it that changes the one-way range, at most (plus 10 %)
 
     std::int64_t traces() const { return static_cast<std::int64_t>(survey.traces.size()); }

@@ -176,7 +176,7 @@ struct Maker {
             const double seen = overlap_reach * reach * sway * std::min(widest_beam, pi / (rate * across));
             const double more = overlap_of(layout.taps.taps.count) * std::min(1.0, seen) * sway;
             const double before = beam;
-            beam = std::min(widest_beam, pi / (rate * (spare_across * across + more)));
+            beam = std::min(widest_beam, pi / held_across(spare_across * across + more, rate, layout.fading));
             if (attempt % 2 == 1) highest = std::max(highest, bands.along);
             if (attempt == 1 && beam >= 0.97 * before) break;
             outer = reach * beam;

@@ -5,6 +5,7 @@
 #include <limits>
 #include <numeric>
 
+#include "core/light.hpp"
 #include "planning/draw.hpp"
 
 namespace pysas {
@@ -50,9 +51,9 @@ Place place_of(const Scene& scene, const Trace& trace, const Point& pixel) {
         }
     }
     const double index = ((out + back) / model.c - trace.t0) * model.fs;
-    bool lit = index >= 0 && index <= model.last;
-    if (model.cos_beam > -1) lit = lit && dot(away, point(trace.boresight)) >= model.cos_beam * out;
-    return {index, lit};
+    const double to[3] = {away.x, away.y, away.z};
+    const bool lit = index >= 0 && index <= model.last && lights(scene.light, trace, to);
+    return {index, lit, lit ? brightness(model.beam, trace, to) : 0};
 }
 
 SomeTerms some_terms(const Scene& scene) {
@@ -83,6 +84,7 @@ SomeTerms some_terms(const Scene& scene) {
             if (!place.lit) continue;
             out.trace.push_back(out.heard[i]);
             out.place.push_back(static_cast<std::int64_t>(std::nearbyint(place.index)));
+            out.weight.push_back(place.weight);
         }
     }
     return out;

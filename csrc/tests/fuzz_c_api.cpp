@@ -109,6 +109,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     survey.ping_t0 = parts & 4 ? t0.data() : nullptr;
     survey.boresight = parts & 8 ? boresight.data() : nullptr;
     survey.beam_half_angle = in.number(0, 4);
+    const auto axis = fill(3 * pings, -1, 1);
+    const std::uint8_t beam = in.byte();
+    survey.beam_shape = beam % 8 == 7 ? beam : beam % 2;
+    survey.beam_taper = beam & 16 ? in.number(-0.1, 1.1) : 0;
+    survey.beam_axis = beam & 32 ? axis.data() : nullptr;
     for (double* vector : {grid.first, grid.along, grid.down}) {
         const double reach = vector == grid.first ? scale : scale / 50;
         for (int axis = 0; axis < 3; ++axis) vector[axis] = in.number(-reach, reach);

@@ -15,8 +15,9 @@ import scipy.fft
 
 from pysas import _checks
 from pysas._checks import FloatArray
+from pysas.circular import beams
 from pysas.circular.geometry import track_angle, virtual_angles
-from pysas.model.echoes import EDGE, EDGE_ANGLE, Echoes
+from pysas.model.echoes import EDGE, Echoes
 from pysas.model.grid import Grid
 
 OVERSAMPLING = 16
@@ -34,7 +35,7 @@ def weighted_sum(
     Parameters
     ----------
     echoes : Echoes
-        Range-compressed, finite; terms outside the beam or the record do not count.
+        Range-compressed, finite; terms outside the beam or the record do not count, those on its taper count by that.
     grid : Grid
         Its mask is not looked at.
     weights : (pixel, ping, channel), optional
@@ -65,10 +66,10 @@ def weighted_sum(
     factors = None if weights is None else _weights(weights, shape)
     total = np.zeros(len(points), dtype=np.complex128)
     for ping in range(echoes.n_ping):
-        seen = _seen(echoes, points, ping)
+        left = _beam(echoes, points, ping)
         for channel in range(echoes.n_channel):
-            used = seen if factors is None else seen & (factors[:, ping, channel] != 0)
-            term = _terms(echoes, points[used], ping, channel)
+            used = left > 0 if factors is None else (left > 0) & (factors[:, ping, channel] != 0)
+            term = left[used] * _terms(echoes, points[used], ping, channel)
             total[used] += term if factors is None else factors[used, ping, channel] * term
     return total.reshape(grid.shape) if pixels is None else total
 
@@ -148,13 +149,11 @@ def _weights(weights: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]
     return array
 
 
-def _seen(echoes: Echoes, points: FloatArray, ping: int) -> npt.NDArray[np.bool_]:
+def _beam(echoes: Echoes, points: FloatArray, ping: int) -> FloatArray:
+    """What the transmitter's beam leaves of each point's terms."""
     if echoes.beam is None:
-        return np.ones(len(points), dtype=np.bool_)
-    direction = points - echoes.tx[ping]
-    boresight = np.broadcast_to(echoes.beam.boresight, echoes.tx.shape)[ping]
-    angle = np.arctan2(np.linalg.norm(np.cross(direction, boresight), axis=-1), direction @ boresight)
-    return np.asarray(angle <= echoes.beam.half_angle + EDGE_ANGLE)
+        return np.ones(len(points))
+    return beams.weight(echoes.beam, beams.off_middle(echoes.beam, points - echoes.tx[ping], ping))
 
 
 def _terms(echoes: Echoes, points: FloatArray, ping: int, channel: int) -> Complex:

@@ -8,14 +8,13 @@ resampled one (Eq 7), with no ping interpolated or dropped.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.model.echoes import EDGE_ANGLE, Echoes
+from pysas.circular import beams
+from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 
 COINCIDENT = 1e-9  # rad: views nearer than this are one
@@ -69,7 +68,8 @@ def view_weights(echoes: Echoes, grid: Grid, pixels: npt.ArrayLike | None = None
     Parameters
     ----------
     echoes : Echoes
-        Its geometry; samples are not looked at. Terms outside its beam weigh 0.
+        Its geometry; samples are not looked at. Terms outside its beam weigh 0; a taper changes nothing within, for a sum
+        weighs its terms by that as well.
     grid : Grid
     pixels : (n,) integers, optional
         Flat indices (C order) of the pixels wanted; default: all.
@@ -171,9 +171,6 @@ def _in_beam(echoes: Echoes, points: FloatArray) -> Bool:
     seen = np.ones((len(points), echoes.n_ping), dtype=np.bool_)
     if echoes.beam is None:
         return seen
-    boresight: Any = np.broadcast_to(echoes.beam.boresight, echoes.tx.shape)
     for number, point in enumerate(points):
-        direction = point - echoes.tx
-        across = np.linalg.norm(np.cross(direction, boresight), axis=-1)
-        seen[number] = np.arctan2(across, np.sum(direction * boresight, axis=-1)) <= echoes.beam.half_angle + EDGE_ANGLE
+        seen[number] = beams.lit(echoes.beam, beams.off_middle(echoes.beam, point - echoes.tx))
     return seen

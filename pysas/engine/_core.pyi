@@ -58,7 +58,7 @@ def design(band: float, degree: int, phases: int, step: int, error: float, least
 def arcs(
     trace: Records,
     channels: int,
-    cos_beam: float,
+    beam: Records,
     points: npt.NDArray[np.float64],
     order: npt.NDArray[np.int64],
     out: npt.NDArray[Any],

@@ -21,10 +21,10 @@ from numba.extending import intrinsic
 
 from pysas.engine._numba_reach import (
     ACROSS,
-    BORESIGHT,
-    COS_BEAM,
     FC,
     FS,
+    FULL_ANGLE,
+    HALF_ANGLE,
     INTERVAL,
     KEPT,
     LAST,
@@ -33,14 +33,17 @@ from pysas.engine._numba_reach import (
     RATE,
     RUN,
     RX,
+    SHAPE,
     T0,
     TX,
     VELOCITY,
     C,
+    beam_weight,
     line_reach,
+    off_middle,
     reach,
 )
-from pysas.engine.traces import BLOCK, MONOSTATIC, STOP_AND_HOP
+from pysas.engine.traces import BLOCK, MONOSTATIC, NO_BEAM, STOP_AND_HOP
 from pysas.model.echoes import EDGE
 
 SLOTS = 4
@@ -190,7 +193,8 @@ def _block(x, c0, c1, c2, c3, c4, base, turns, ratio, half, sin_terms, cos_terms
 
 @njit(nogil=True, cache=True, fastmath=_FAST)
 def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, interval, t2, cosines, sines):
-    """The same from each pixel's own delay in float64; terms outside the record or the beam get weight 0. Counts terms.
+    """The same from each pixel's own delay in float64; terms outside the record or the beam get weight 0, others that of the
+    beam. Counts terms.
 
     `part` (2, BLOCK) of `real` carries position and phase from the float64 loop to the short one.
     """
@@ -198,17 +202,18 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
     _delays(kind, g, model[C], x, y, z, count, tau)
     first = np.int32(g[INTERVAL])
     terms = 0
-    beam = model[COS_BEAM]
-    sine = np.sqrt((1.0 - beam) * (1.0 + beam))
-    bx, by, bz = g[BORESIGHT], g[BORESIGHT + 1], g[BORESIGHT + 2]
+    shape, half, full = model[SHAPE], model[HALF_ANGLE], model[FULL_ANGLE]
+    beam_cosine, beam_sine, tapered = np.cos(half), np.sin(half), full < half
     for m in range(count):
         index = (tau[m] - g[T0]) * model[FS]
         counts = index >= -EDGE and index <= model[LAST] + EDGE
-        if beam > -1.0:
-            dx, dy, dz = x[m] - g[TX], y[m] - g[TX + 1], z[m] - g[TX + 2]
-            across = np.sqrt((dy * bz - dz * by) ** 2 + (dz * bx - dx * bz) ** 2 + (dx * by - dy * bx) ** 2)
-            # sin(angle - limit) <= 0; cosines would not tell small angles apart
-            counts = counts and across * beam <= (dx * bx + dy * by + dz * bz) * sine
+        weight = 1.0
+        if shape != NO_BEAM:
+            sine, cosine, side = off_middle(shape, g, x[m] - g[TX], y[m] - g[TX + 1], z[m] - g[TX + 2])
+            # sin(alpha - half) <= 0; cosines would not tell small angles apart
+            counts = counts and side and sine * beam_cosine <= cosine * beam_sine
+            if counts and tapered:
+                weight = beam_weight(sine, cosine, full, half)
         terms += counts
         u = (min(max(index, 0.0), model[LAST]) - g[KEPT]) * model[RATE] if counts else 0.0
         low = np.floor(u)
@@ -218,15 +223,15 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
         t2[np.uintp(at + m)] = position * position
         turns = model[FC] * tau[m]
         part[1, m] = turns - np.floor(turns + 0.5)
-        tau[m] = 1.0 if counts else 0.0
+        tau[m] = weight if counts else 0.0
     for m in range(count):
         _factors(at + m, part[0, m], part[1, m], sin_terms, cos_terms, cosines, sines)
-    if terms < count:
+    if terms < count or tapered:
         for m in range(count):
-            if tau[m] == 0.0:
+            if tau[m] < 1.0:
                 for place in range(2 * (at + m), 2 * (at + m) + 2):
-                    cosines[place] = 0
-                    sines[place] = 0
+                    cosines[place] *= tau[m]
+                    sines[place] *= tau[m]
     return terms
 
 

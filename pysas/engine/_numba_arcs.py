@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pysas.engine._numba_reach import BORESIGHT, RX, TX
+from pysas.engine._numba_reach import RX, TX, off_middle
+from pysas.engine.traces import BEAM, NO_BEAM, place
 
+SHAPE, HALF_ANGLE = place(BEAM, "shape"), place(BEAM, "half_angle")
 TURN = 2 * np.pi
 COINCIDENT = 1e-9  # rad: views nearer than this are one
 OPENING = 4.0 * (1 + 1e-6)  # a gap this many times as wide as those beside it is none of the track's own
@@ -28,10 +30,10 @@ def _mixed(x):
 
 
 @njit(nogil=True, cache=True)
-def _look(geometry, cos_beam, point, angle, seen, lit):
+def _look(geometry, beam, point, angle, seen, lit):
     """Angle of every view, whether it has one, and whether its beam holds the point; how many have."""
     count = 0
-    sine = np.sqrt((1 - cos_beam) * (1 + cos_beam))
+    beam_cosine, beam_sine = np.cos(beam[HALF_ANGLE]), np.sin(beam[HALF_ANGLE])
     for i in range(geometry.shape[0]):
         g = geometry[i]
         tx, ty, tz = g[TX] - point[0], g[TX + 1] - point[1], g[TX + 2] - point[2]
@@ -42,10 +44,10 @@ def _look(geometry, cos_beam, point, angle, seen, lit):
         count += seen[i]
         a = np.arctan2(y, x)
         angle[i] = a + TURN if a < 0 else a
-        bx, by, bz = g[BORESIGHT], g[BORESIGHT + 1], g[BORESIGHT + 2]
-        across = np.sqrt((ty * bz - tz * by) ** 2 + (tz * bx - tx * bz) ** 2 + (tx * by - ty * bx) ** 2)
-        along = -(tx * bx + ty * by + tz * bz)
-        lit[i] = cos_beam <= -1.0 or across * cos_beam <= along * sine  # cosines lose the smallest
+        lit[i] = True
+        if beam[SHAPE] != NO_BEAM:
+            sine, cosine, side = off_middle(beam[SHAPE], g, -tx, -ty, -tz)
+            lit[i] = side and sine * beam_cosine <= cosine * beam_sine  # cosines lose the smallest
     return count
 
 
@@ -102,7 +104,7 @@ def _shares(gaps, channels):
 
 
 @njit(nogil=True, cache=True)
-def arcs(geometry, channels, cos_beam, points, order, out, pattern):
+def arcs(geometry, channels, beam, points, order, out, pattern):
     """Fill `out` (point, kept) with arcs of traces `order` and `pattern` (point,) with what arcs.hpp says of it."""
     n = geometry.shape[0]
     angle, value = np.empty(n), np.empty(n)
@@ -111,7 +113,7 @@ def arcs(geometry, channels, cos_beam, points, order, out, pattern):
     group = np.empty(n, dtype=np.int64)
     gaps = np.empty(n)
     for p in range(points.shape[0]):
-        count = _look(geometry, cos_beam, points[p], angle, seen, lit)
+        count = _look(geometry, beam, points[p], angle, seen, lit)
         if count == 0:
             out[p] = 0
             pattern[p] = 0

@@ -27,10 +27,10 @@ class Cpp:
         return native.isa_name()
 
     def arcs(
-        self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
+        self, trace: Records, channels: int, beam: Records, points: FloatArray, order: npt.NDArray[np.int64],
         out: npt.NDArray[Any], threads: int,
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
-        return np.asarray(native.core().arcs(trace, channels, cos_beam, points, order, out, threads, None))
+        return np.asarray(native.core().arcs(trace, channels, beam, points, order, out, threads, None))
 
     def plan(
         self, scene: Any, shape: tuple[int, ...], mask: npt.NDArray[np.bool_] | None,
@@ -38,7 +38,7 @@ class Cpp:
     ) -> Planned:  # fmt: skip
         core = native.core()
         model = record(
-            MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=0.0, last=scene.n_sample - 1, cos_beam=scene.cos_beam, near=0.0,
+            MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=0.0, last=scene.n_sample - 1, beam=scene.beam, near=0.0,
             run=0.0,
         )  # fmt: skip
         single = scene.dtype == np.complex64

@@ -11,11 +11,8 @@ from llvmlite import binding
 
 from pysas import _pool as pool
 from pysas._checks import FloatArray
-from pysas.engine import _numba, _numba_arcs, summation
+from pysas.engine import _numba, _numba_arcs, sub_images, summation
 from pysas.engine.interface import Parts
-from pysas.engine.preparation import Interpolator
-from pysas.engine.steps import Setting, Steps
-from pysas.engine.summation_steps import Interpreted
 from pysas.engine.traces import Records, reals
 
 AT_ONCE = 2**18  # views of a task
@@ -30,13 +27,13 @@ class Fallback:
     sums = 3
     slab = 0
     peaks, mean_squares = staticmethod(summation.peaks), staticmethod(summation.mean_squares)
-    accumulate = staticmethod(summation.accumulate)
+    accumulate, read = staticmethod(summation.accumulate), staticmethod(sub_images.read)
 
     def isa(self) -> str:
         return str(binding.get_host_cpu_name())
 
     def arcs(
-        self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
+        self, trace: Records, channels: int, beam: Records, points: FloatArray, order: npt.NDArray[np.int64],
         out: npt.NDArray[Any], threads: int,
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
         pattern = np.empty(len(points), dtype=np.uint64)
@@ -45,13 +42,10 @@ class Fallback:
 
         def some(task: int) -> None:
             part = slice(task * rows, min((task + 1) * rows, len(points)))
-            pool.call(_numba_arcs.arcs, geometry, channels, cos_beam, points[part], order, out[part], pattern[part])
+            pool.call(_numba_arcs.arcs, geometry, channels, reals(beam), points[part], order, out[part], pattern[part])
 
         pool.run(some, -(-len(points) // rows), threads)
         return pattern
-
-    def steps(self, setting: Setting, reader: Interpolator, room: int) -> Steps:
-        return Interpreted(setting, reader, room)
 
 
 ENGINE: Parts = Fallback()

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
-from pysas.engine.steps import Setting, Steps
 from pysas.engine.survey import Raster, Survey, Totals, Trigonometry
 from pysas.engine.traces import Records
+from pysas.engine.tree import PolarGrid, Taps
 
 Tick = Callable[[float], None] | None
 Places = FloatArray | tuple[FloatArray, FloatArray, FloatArray] | Callable[[npt.NDArray[np.int64]], FloatArray]
@@ -71,7 +71,7 @@ class Engine(Protocol):
         """What kernels run on: an instruction set, or a processor's name."""
 
     def arcs(
-        self, trace: Records, channels: int, cos_beam: float, points: FloatArray, order: npt.NDArray[np.int64],
+        self, trace: Records, channels: int, beam: Records, points: FloatArray, order: npt.NDArray[np.int64],
         out: npt.NDArray[Any], threads: int,
     ) -> npt.NDArray[np.uint64]:  # fmt: skip
         """Fill `out` (point, kept) with the arcs of traces `order` among all at points about the scene's centre.
@@ -129,8 +129,14 @@ class Parts(Engine, Protocol):
         """Add traces `order` (flat ping-channel numbers; record i of survey.trace is order[i]) of `data` to `image` (line,
         pixel), which is left multiplied by `scale`."""
 
-    def steps(self, setting: Setting, reader: Any, room: int) -> Steps:
-        """The steps of trees, with tables of at most `room` traces at a time."""
+    def read(
+        self, held: ComplexArray, grid: PolarGrid, taps: Taps, wave: float, carrier: Trigonometry, raster: Raster,
+        image: ComplexArray, threads: int,
+    ) -> None:  # fmt: skip
+        """Add a sub-image, `held` (ray, node) as it was summed, at the pixels of raster.tiles() to `image` (line, pixel).
+
+        `held` is overwritten; `wave` : turns of the carrier a metre of range; `carrier` : sine and cosine for them.
+        """
 
 
 AnyEngine = Planning | Parts

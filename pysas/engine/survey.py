@@ -74,6 +74,11 @@ class Totals:
     sum_seconds: float
     terms: int
 
+    def more(self, other: Totals, terms: int | None = None) -> Totals:
+        """With another sum's, of `terms` if it says so."""
+        terms = other.terms if terms is None else terms
+        return Totals(self.prepare_seconds + other.prepare_seconds, self.sum_seconds + other.sum_seconds, self.terms + terms)
+
 
 class Raster(Protocol):
     """The image as lines of pixels, or one line of points; see planning/raster.py."""

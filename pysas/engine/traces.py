@@ -17,6 +17,7 @@ Records = npt.NDArray[np.void]
 
 BLOCK, TILE_ROWS = 64, 32  # pixels of a block and lines of a tile at most, see csrc/core/kernels.hpp
 MONOSTATIC, STOP_AND_HOP, MOVING = 0, 1, 2  # kinds of delays
+NO_BEAM, CONE, FAN = 0, 1, 2  # shapes of beams
 
 PLACE = (np.float64, (3,))
 TRACE = np.dtype(
@@ -25,9 +26,17 @@ TRACE = np.dtype(
         ("rx", *PLACE),
         ("velocity", *PLACE),  # of the receiver, m/s
         ("boresight", *PLACE),  # of length 1, or zeros
+        ("axis", *PLACE),  # along a fan's element, of length 1, or zeros
         ("t0", np.float64),  # time of sample 0 of the record, s
         ("kept", np.float64),  # number of the first sample kept
         ("interval", np.float64),  # for Numba's kernels alone: the trace's first interval in a table of all
+    ]
+)
+BEAM = np.dtype(
+    [
+        ("shape", np.float64),
+        ("half_angle", np.float64),  # the largest that counts
+        ("full_angle", np.float64),  # the largest whose weight is 1: less than half_angle where the beam has a taper
     ]
 )
 MODEL = np.dtype(
@@ -37,14 +46,14 @@ MODEL = np.dtype(
         ("fs", np.float64),
         ("rate", np.float64),  # intervals per sample
         ("last", np.float64),  # last sample number that counts
-        ("cos_beam", np.float64),  # of the largest angle that counts; -1: no beam
+        ("beam", BEAM),
         ("near", np.float64),  # distance below which every pixel's delay is exact, m
         ("run", np.float64),  # traces that a sum in float32 may have before it is added to one in float64; 0: any number
     ]
 )
 
 
-def record(kind: np.dtype[Any], **values: float) -> Records:
+def record(kind: np.dtype[Any], **values: Any) -> Records:
     """One record, every field of it given by name."""
     if set(values) != set(kind.names or ()):
         raise TypeError(f"expected {kind.names}, found {tuple(values)}")

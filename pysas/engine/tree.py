@@ -1,7 +1,7 @@
 """Sub-images and their interpolation, as the kernels of fast factorised back-projection take them. See docs/ffbp.md.
 
-A sub-image is what a group of traces makes of a horizontal plane, its carrier about the group's centre taken away, sampled
-at (g, angle) about the centre's foot. Nodes are filtered along both axes so that few taps read between them.
+A sub-image is what a group of traces makes of a horizontal plane, on a polar grid about the foot of the group's centre. Its
+carrier about the centre taken away, nodes are filtered along both axes so that few taps read between them.
 """
 
 from __future__ import annotations
@@ -14,37 +14,28 @@ import numpy.typing as npt
 
 from pysas._checks import FloatArray
 
-IntArray = npt.NDArray[np.int64]
-WIDTHS = (6, 8)  # taps the kernels are compiled for
-PLACE, SHAPE = 7, 5  # columns: centre (3), plane, first angle, angle step, node step; i0, rays, stride, offset, first range
+WIDTHS = (8,)  # taps the kernels are made for
 
 
 @dataclass(frozen=True)
 class Taps:
     """Interpolation between nodes `rate` times as dense as the band needs.
 
-    even, odd : (pairs, powers) float32, polynomials of tap p at x in [-1/2, 1/2] from an interval's middle, in x^2 (odd: times
-    x); tap : (width + 1, 8) float32, the same as powers by taps; filter : (half + 1,) float32, the symmetric filter that
-    undoes the taps' smoothing; worst, rms : error of a component over band and places.
+    tap : (width + 1, width) float32, powers by taps, of places x in [-1/2, 1/2] from an interval's middle; filter : (half + 1,)
+    float32, the symmetric filter that undoes the taps' smoothing; worst, rms : error of a component over band and places.
     """
 
     width: int
     rate: float
-    even: npt.NDArray[np.float32]
-    odd: npt.NDArray[np.float32]
     tap: npt.NDArray[np.float32]
     filter: npt.NDArray[np.float32]
     worst: float
     rms: float
 
     @property
-    def half(self) -> int:
-        return len(self.filter) - 1
-
-    @property
     def reach(self) -> int:
         """Nodes beside a place that it depends on."""
-        return self.half + self.width // 2
+        return len(self.filter) - 1 + self.width // 2
 
 
 @functools.lru_cache(maxsize=64)
@@ -77,41 +68,38 @@ def _design(width: int, rate: float, half: int, beta: float) -> Taps:
     rows = np.concatenate([system.real, system.imag]) * np.tile(edge, 2)[:, None]
     filter = np.linalg.lstsq(rows, np.concatenate([edge, 0 * edge]))[0]
     error = np.abs(system @ filter - 1)
-    half_power = power[:, : width // 2].T  # taps p and width - 1 - p mirror each other
-    mirror = power[:, ::-1][:, : width // 2].T
-    tap = np.zeros((degree + 1, 8))
-    tap[:, :width] = power
-    even, odd = ((half_power + mirror) / 2)[:, 0::2], ((half_power - mirror) / 2)[:, 1::2]
-    single = [np.ascontiguousarray(a, np.float32) for a in (even, odd, tap, filter)]
     worst, rms = float(error.max()), float(np.sqrt(np.mean(error**2)))
-    return Taps(width, rate, single[0], single[1], single[2], single[3], worst, rms)
+    return Taps(width, rate, power.astype(np.float32), filter.astype(np.float32), worst, rms)
 
 
 @dataclass(frozen=True)
-class SubImages:
-    """The sub-images of a level's groups.
+class PolarGrid:
+    """Nodes of a sub-image: rays from bearing `angle`, `beam` rad apart, nodes from ground distance `near`, `step` m apart.
 
-    place : (n, PLACE) float64; shape : (n, SHAPE) int64; range : (rays of all, 2) int32, nodes summed on each ray; span :
-    (n + 1,) int64, of the level below (or traces) what image i is made of; size : floats of the store that holds their rows.
+    What is read lies at bearings from `low` on, less than a turn behind it.
     """
 
-    place: FloatArray
-    shape: IntArray
-    range: npt.NDArray[np.int32]
-    span: IntArray
-    size: int
-
-    def __len__(self) -> int:
-        return len(self.place)
+    centre: FloatArray  # of the group's phase centres
+    plane: float  # its height
+    low: float
+    angle: float
+    beam: float
+    near: float
+    step: float
+    shape: tuple[int, int]  # rays, nodes
 
     @property
-    def nodes(self) -> int:
-        """Nodes summed."""
-        return int(np.sum(np.maximum(self.range[:, 1] - self.range[:, 0], 0), dtype=np.int64))
+    def height(self) -> float:
+        """Of the centre above the plane."""
+        return float(self.centre[2]) - self.plane
 
-    def part(self, begin: int, end: int) -> SubImages:
-        """Some of them, in a store of their own."""
-        shape = self.shape[begin:end].copy()
-        shape[:, 3] -= shape[0, 3]
-        size = int(shape[-1, 3] + 2 * shape[-1, 1] * shape[-1, 2])
-        return SubImages(self.place[begin:end], shape, self.range, self.span[begin : end + 1] - self.span[begin], size)
+    @property
+    def slant(self) -> FloatArray:
+        """Ranges of a ray's nodes from the centre."""
+        return np.asarray(np.hypot(self.near + np.arange(self.shape[1]) * self.step, self.height))
+
+    def lines(self) -> tuple[FloatArray, FloatArray]:
+        """First node and step (ray, 3) of the rays, which are even lines."""
+        bearing = self.angle + np.arange(self.shape[0]) * self.beam
+        away = np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+        return np.append(self.centre[:2], self.plane) + self.near * away, self.step * away

@@ -20,7 +20,8 @@ from pysas import _checks
 from pysas.formats import files
 from pysas.formats.containers import KINDS as DTYPES
 from pysas.formats.containers import File, container
-from pysas.model.echoes import Beam, Echoes
+from pysas.model.beam import CONE, FAN, Beam
+from pysas.model.echoes import Echoes
 from pysas.model.grid import KINDS, Grid
 from pysas.model.image import Image, Report
 from pysas.model.pulse import LFM
@@ -29,7 +30,8 @@ Array = npt.NDArray[Any]
 
 ECHOES, IMAGE = "pysas-echoes-1", "pysas-image-1"
 _PULSE = ("pulse_kind", "pulse_fc", "pulse_bandwidth", "pulse_duration", "pulse_window")
-_BEAM = ("beam_boresight", "beam_length", "beam_half_angle")
+_BEAM = ("beam_boresight", "beam_length", "beam_half_angle")  # of any beam
+_MORE_BEAM = ("beam_shape", "beam_taper", "beam_axis")  # of a cone without taper where they are missing: older files' beams
 _TRUTH = ("truth_position", "truth_amplitude")
 
 
@@ -116,6 +118,7 @@ _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
     "pulse_window": ("text", ""), "pulse_window_parameter": ("real", ""), "waveform": ("samples", "length"),
     "truth_position": ("real", "target 3"), "truth_amplitude": ("truth", "target"),
     "beam_boresight": ("real", "3", "ping 3"), "beam_length": ("real", ""), "beam_half_angle": ("real", ""),
+    "beam_shape": ("text", ""), "beam_taper": ("real", ""), "beam_axis": ("real", "3", "ping 3"),
     "attrs": ("text", ""),
 }  # fmt: skip
 _ECHO_NEEDS = ("schema", "data", "fs", "fc", "c", "t0", "tx", "rx", "compressed")
@@ -136,7 +139,7 @@ def _echo_fields(echoes: Echoes) -> dict[str, Array]:
     elif pulse is not None:
         fields["waveform"] = pulse
     if echoes.beam is not None:
-        fields |= {f"beam_{key}": value for key, value in vars(echoes.beam).items()}
+        fields |= {f"beam_{key}": value for key, value in vars(echoes.beam).items() if value is not None}
     if any(name in attrs for name in _TRUTH):
         fields |= dict(zip(_TRUTH, _truth(*(attrs.pop(name, None) for name in _TRUTH)), strict=True))
     if attrs:
@@ -160,6 +163,9 @@ def _read_echoes(file: File) -> tuple[Echoes, set[str]]:
     table = {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
     file.check(table, _ECHO_NEEDS)
     got = file.together(_PULSE), file.together(_BEAM), file.together(_TRUTH)
+    for name in _MORE_BEAM:
+        if name in file.fields and not got[1]:
+            raise ValueError(f"{_BEAM[0]}: missing, expected beside {name}")
     if got[0] and "waveform" in file.fields:
         raise ValueError("waveform: found beside pulse_kind, expected one of the two")
     names = [name for name, field in table.items() if name in file.fields and name != "data" and field[0] != "text"]
@@ -170,7 +176,7 @@ def _read_echoes(file: File) -> tuple[Echoes, set[str]]:
     pulse = values.pop("waveform", None)
     if got[0]:
         pulse = _read_pulse(file, values)
-    beam = Beam(*(values.pop(name) for name in _BEAM)) if got[1] else None
+    beam = _read_beam(file, values) if got[1] else None
     shape, dtype = file.fields["data"]
     stand_in = np.broadcast_to(np.zeros((), dtype), shape)  # navigation is checked before samples are allocated
     echoes = Echoes(stand_in, pulse=pulse, beam=beam, attrs=attrs, **values)
@@ -185,6 +191,18 @@ def _read_pulse(file: File, values: dict[str, Any]) -> LFM:
         return LFM(window=file.text("pulse_window"), **parts)
     except ValueError as error:
         raise ValueError(f"pulse: {error}") from None
+
+
+def _read_beam(file: File, values: dict[str, Any]) -> Beam:
+    shape = file.text("beam_shape") if "beam_shape" in file.fields else CONE
+    if shape not in (FAN, CONE):
+        raise ValueError(f"beam_shape: found {shape!r:.60}, expected {FAN!r} or {CONE!r}")
+    boresight, length, half_angle = (values.pop(name) for name in _BEAM)
+    taper, axis = values.pop("beam_taper", 0.0), values.pop("beam_axis", None)
+    try:
+        return Beam(boresight, length, half_angle, shape, taper, axis)
+    except ValueError as error:
+        raise ValueError(f"beam: {error}") from None
 
 
 def _image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]]:

@@ -22,7 +22,7 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     done = plan.by.image(samples, image, plan.nan, progress)
     warned = list(done.warned)
     if done.totals.terms == 0:
-        warned.append(plan.scene.why_empty(done.finite) or plan.scene.why_dark())
+        warned.append(plan.scene.why_empty(done.finite) or plan.scene.why_dark(done.finite))
     for text in warned:
         if done.totals.terms or not plan.silent:  # or the plan has warned
             warnings.warn(text, stacklevel=5)

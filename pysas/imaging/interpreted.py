@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pysas._checks import FloatArray
 from pysas.engine import Parts
 from pysas.engine.survey import rows_per_task
 from pysas.model.grid import Grid
@@ -22,11 +23,13 @@ from pysas.planning.settings import Choices, reader_of
 class Terms:
     """Some of a plan's terms: flat numbers of their traces, and the samples nearest to where pixels read them.
 
-    heard, edges : all traces that pixels hear, and the least and the largest place (2, trace) that any pixel can read there.
+    power : what their beams leave of each, squared; heard, edges : all traces that pixels hear, and the least and the largest
+    place (2, trace) that any pixel can read there.
     """
 
     trace: npt.NDArray[np.int64]
     place: npt.NDArray[np.int64]
+    power: FloatArray
     heard: npt.NDArray[np.int64]
     edges: npt.NDArray[np.int64]
 
@@ -52,7 +55,7 @@ class Interpreted:
 
     def __post_init__(self) -> None:
         self.dtype = self.scene.dtype
-        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.raster
+        self.raster = Raster(self.grid, self.scene, self.choices.block) if self.forest is None else self.forest.tiles.raster
         self.reader = reader_of(self.choices)
         self.rule = planner.rule(self.method == "auto")
 
@@ -66,7 +69,7 @@ class Interpreted:
 
     @property
     def trees(self) -> int:
-        return len(self.forest.trees) if self.forest is not None else 0
+        return len(self.forest.sub_images) if self.forest is not None else 0
 
     @property
     def seconds(self) -> float:
@@ -105,7 +108,7 @@ class Interpreted:
         c = self.choices
         rounds = -(-self.scene.traces // c.batch)
         if self.forest is not None:
-            rounds += max(len(section.trees) for section in self.forest.sections)
+            rounds += len(self.forest.groups)
         return bool(self.dtype == np.complex64 and rounds > c.run // 8)
 
     @property

@@ -89,19 +89,19 @@ def fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], s
 def _fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Interpreted:
     terms = terms_of(plan)
     keep = used[terms.trace]
-    some = dataclasses.replace(terms, trace=terms.trace[keep], place=terms.place[keep])
+    some = dataclasses.replace(terms, trace=terms.trace[keep], place=terms.place[keep], power=terms.power[keep])
     if not some.trace.size:
         return plan
     traces = samples if samples.ndim == 3 else samples[:, None, :]
     data = _Data(traces, used, *_weighed(plan.scene.weights, used, scale), plan.engine, plan.threads)
-    weight = data.weight[some.trace]
+    weight = data.weight[some.trace] * some.power
     own = math.sqrt(np.mean(weight * data.mean_squares(some.trace, some.place, 1)))
     ends = _ends(plan, data)
     if not (math.isfinite(own) and np.all(np.isfinite(ends))):
         return plan
     asked = plan
     if plan.forest is not None:
-        reach = _tree_reach(plan)
+        reach = plan.forest.reach
         beside = weight * data.mean_squares(some.trace, some.place, reach)
         excess = math.sqrt(max(float(np.mean(beside)) - own**2, _outside(plan, data, reach, own)))
         squares = np.zeros(some.trace.size)
@@ -169,9 +169,10 @@ def terms_of(plan: Interpreted) -> Terms:
         # pixels in turn: neighbouring traces have different ones
         pick = np.random.default_rng(1).permutation(len(pixels))
         pick = pick[(np.arange(heard.size)[:, None] * each + np.arange(each)) % max(len(pixels), 1)]
-        index, lit = scene.read(heard, pixels, pick)
+        index, share = scene.read(heard, pixels, pick)
+        lit = share > 0
         trace, place = np.broadcast_to(heard[:, None], lit.shape)[lit], np.rint(index[lit]).astype(np.int64)
-        plan.terms = Terms(trace, place, heard, _edges(plan, heard))
+        plan.terms = Terms(trace, place, share[lit] ** 2, heard, _edges(plan, heard))
     return plan.terms
 
 
@@ -245,16 +246,7 @@ def _low_passed(plan: Interpreted, data: _Data, some: Terms) -> float:
             squares[begin:end] = np.abs(smooth[np.searchsorted(part, some.trace[begin:end]), some.place[begin:end]]) ** 2
 
     pool.run(measure, -(-number.size // at_once), data.threads)
-    return float(np.mean(data.weight[some.trace] * squares))
-
-
-def _tree_reach(plan: Interpreted) -> int:
-    """Samples to each side of a term's that the nodes read for it hold."""
-    forest = plan.forest
-    if forest is None:
-        return 0
-    stages = len(forest.layout.fans) + 1
-    return math.ceil(stages * forest.layout.taps.reach / float(forest.rate))
+    return float(np.mean(data.weight[some.trace] * some.power * squares))
 
 
 def _measured(
@@ -264,7 +256,7 @@ def _measured(
 
     `alike` : times the power that bright ends have in an image.
     """
-    c, scene, weight = plan.choices, plan.scene, data.weight[some.trace]
+    c, scene, weight = plan.choices, plan.scene, data.weight[some.trace] * some.power
     planned = 0.0 if c.wide else c.errors["interpolation"]  # in whole records' tables it is wrong by what is read itself
     # transforms' polynomials are wrong by what they read
     squares = planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
@@ -274,7 +266,7 @@ def _measured(
         # what is not cut away is read as it is, and comes round behind the other end
         kept = within[side][some.trace] if c.taper else True
         distance = np.where(kept, c.n_fft - distance, distance)
-        cut = ends[side, some.trace]
+        cut = ends[side, some.trace] * some.power
         loudest = float(bounds.ringing(np.min(distance), scene.band)) ** 2 * float(np.max(cut))
         least = (NOTHING * c.predicted_error * own) ** 2
         if loudest * scene.traces <= least:
@@ -305,8 +297,8 @@ def _alike(plan: Interpreted, data: _Data) -> float:
     """
     scene, pixels = plan.scene, plan.scene.drawn[:PIXELS]
     heard = np.flatnonzero(scene.heard & data.used)
-    index, lit = scene.read(heard, pixels, np.tile(np.arange(len(pixels)), (heard.size, 1)))
-    weight = data.weight[heard, None] * lit
+    index, share = scene.read(heard, pixels, np.tile(np.arange(len(pixels)), (heard.size, 1)))
+    weight = data.weight[heard, None] * share**2
     place = scene.trace["t0"][heard, None] * scene.fs + index
     most = 1.0
     for frequency in (scene.fc / scene.fs + shift for shift in (-0.47, 0.0, 0.47)):
@@ -332,24 +324,14 @@ def _direct(plan: Interpreted) -> Interpreted:
 
 
 def _wide(plan: Interpreted, ends: float) -> Interpreted:
-    """The same with tables from whole records, whose ends are `ends` times as bright as what pixels read.
-
-    Without trees where their rate is too low for all that whole records hold.
-    """
+    """The same with tables from whole records, whose ends are `ends` times as bright as what pixels read."""
     ends = 10.0 ** math.ceil(math.log10(min(max(ends, 1.0), 1e12)))
     name = f"wide {plan.forest is not None} {ends:g}"
     found = plan.others.get(name)
     if found is None:
-        choices: Choices | None
-        if plan.forest is not None:
-            choices = planner.for_leaves(plan.scene, plan.budget, plan.engine, ends)
-        else:
-            choices = planner.choose(plan.scene, plan.budget, plan.engine, ends)
-        if choices is None:
-            found = _wide(_direct(plan), ends)
-        else:
-            found = _with(plan, _named(plan, choices))
-            found.reader = reader_of(found.choices)
+        settings = planner.choose if plan.forest is None else planner.for_leaves
+        found = _with(plan, _named(plan, settings(plan.scene, plan.budget, plan.engine, ends)))
+        found.reader = reader_of(found.choices)
         plan.others[name] = found
     return found
 

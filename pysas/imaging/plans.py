@@ -228,7 +228,7 @@ class Plan:
             (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
             (scene.kind != MOVING, "receivers' motion within the ping: no velocity"),
             (not scene.uniform, "weights that differ from pixel to pixel: not asked for"),
-            (scene.cos_beam <= -1, f"beam: {'it reaches every pixel from every ping' if scene.all_lit else 'none given'}"),
+            (not scene.beamed, f"beam: {'it reaches every pixel from every ping' if scene.all_lit else 'none given'}"),
             (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
             (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),
             (silent > 0, f"{silent} of {scene.traces} traces: no pixel within their window"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from pysas.model.grid import Grid
 from pysas.planning import bounds, view_angles
 from pysas.planning.raster import Raster
 
+Tick = Callable[[float], None] | None
 AT_ONCE = 2**16  # pixels with weights of their own, at most
 
 
@@ -81,24 +83,21 @@ def _add(
     progress: Callable[[float], None] | None,
 ) -> Totals:  # fmt: skip
     """Add all traces `used` to `target` (line, pixel), which is left multiplied by `scale`."""
-    choices, order = plan.choices, np.flatnonzero(used)
-    trigonometry = bounds.trigonometry(choices.trigonometry)[0]
-    if plan.forest is not None:
-        return factorised.accumulate(
-            plan, samples, used, lambda part: _survey(plan, part), scale, trigonometry, bounds.trigonometry(6)[0], target,
-            progress,
-        )  # fmt: skip
+    trigonometry, kind = bounds.trigonometry(plan.choices.trigonometry)[0], np.dtype(plan.choices.precision)
 
-    def add(raster: Raster, survey: Survey, target: ComplexArray, tick: Callable[[float], None] | None) -> Totals:
+    def add(order: npt.NDArray[np.int64], raster: Raster, target: ComplexArray, tick: Tick, own: Any = None) -> Totals:
+        survey = replace(_survey(plan, order), own=own)
         return plan.engine.accumulate(
-            samples, order, survey, plan.reader, scale, raster, trigonometry, np.dtype(choices.precision), choices.batch,
-            target, plan.threads, tick,
+            samples, order, survey, plan.reader, scale, raster, trigonometry, kind, plan.choices.batch, target, plan.threads,
+            tick,
         )  # fmt: skip
 
-    survey = _survey(plan, order)
+    order = np.flatnonzero(used)
+    if plan.forest is not None:
+        return factorised.accumulate(plan, plan.forest, used, add, target, progress)
     if plan.scene.each:
-        return _add_each(plan, order, survey, target, add, progress)
-    return add(plan.raster, survey, target, progress)
+        return _add_each(plan, order, add, target, progress)
+    return add(order, plan.raster, target, progress)
 
 
 def _restored(
@@ -119,12 +118,7 @@ def _partly(progress: Callable[[float], None] | None, done: float, more: float) 
 
 
 def _add_each(
-    plan: Interpreted,
-    order: npt.NDArray[np.int64],
-    survey: Survey,
-    target: ComplexArray,
-    add: Callable[[Raster, Survey, ComplexArray, Callable[[float], None] | None], Totals],
-    progress: Callable[[float], None] | None,
+    plan: Interpreted, order: npt.NDArray[np.int64], add: Callable[..., Totals], target: ComplexArray, progress: Tick
 ) -> Totals:
     """`add` pixels with their own weights of traces `order`, so many at a time as these have room for."""
     scene, grid, real = plan.scene, plan.grid, np.dtype(plan.choices.precision)
@@ -139,10 +133,9 @@ def _add_each(
         view_angles.fill(scene, raster.points(0, pixels.size), order, own, plan.threads, plan.engine)
         weighed = time.perf_counter() - clock
         part = np.zeros((1, pixels.size), dtype=target.dtype)
-        some = add(raster, replace(survey, own=own), part, _partly(progress, begin / wanted.size, pixels.size / wanted.size))
+        tick = _partly(progress, begin / wanted.size, pixels.size / wanted.size)
+        totals = totals.more(add(order, raster, part, tick, own)).more(Totals(0.0, weighed, 0))
         target[0, pixels] = part[0]
-        prepared, summed = totals.prepare_seconds + some.prepare_seconds, totals.sum_seconds + weighed + some.sum_seconds
-        totals = Totals(prepared, summed, totals.terms + some.terms)
     return totals
 
 
@@ -169,7 +162,7 @@ def _survey(plan: Interpreted, order: npt.NDArray[np.int64]) -> Survey:
     near = choices.near if choices.block else np.inf
     model = record(
         MODEL, c=scene.c, fc=scene.fc, fs=scene.fs, rate=choices.oversampling, last=scene.n_sample - 1,
-        cos_beam=scene.cos_beam, near=near, run=choices.run,
+        beam=scene.beam, near=near, run=choices.run,
     )  # fmt: skip
     lattice = None if scene.lattice is None else scene.lattice.of(order)
     return Survey(trace, scene.weights[order], scene.kind, model, lattice)

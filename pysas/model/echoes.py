@@ -1,4 +1,4 @@
-"""Echoes: the recorded samples of every ping and channel with the geometry and sampling they need, and Beam.
+"""Echoes: the recorded samples of every ping and channel with the geometry and sampling they need.
 
 This is the border where navigation and sampling are checked; the engines trust it, so navigation is copied. Samples are kept
 as given (any stride or byte order, never copied) and looked at only when used, so a record may hold non-finite samples.
@@ -16,44 +16,13 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
 
-# A term counts up to EDGE samples beyond its record's ends, where the trace is read at the end, and up to EDGE_ANGLE (rad)
-# beyond its beam's half-angle: far more than places in float64 are rounded by, so that pixels put on an edge count whatever
-# the rounding, and far less than anything physical. `reference.exact` states the same rule.
-EDGE, EDGE_ANGLE = 1e-4, 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class Beam:
-    """Beam of the transmitter: terms outside its half-angle are not part of the model.
-
-    Parameters
-    ----------
-    boresight : (3,) or (ping, 3) array_like
-        Direction the beam looks in; need not have length 1.
-    length : float
-        Along-track length D of the element, m; serves the along-track sampling warnings (D/4, D/2).
-    half_angle : float
-        Largest angle between boresight and the direction from transmitter to pixel, rad, in (0, pi]. Pixels on that edge count
-        whatever their coordinates' rounding: up to 1e-7 rad beyond it.
-    """
-
-    boresight: FloatArray
-    length: float
-    half_angle: float
-
-    def __post_init__(self) -> None:
-        boresight = _checks.reals("boresight", self.boresight, [(3,), ("ping", 3)], ("ping",))
-        length = np.hypot(np.hypot(boresight[..., 0], boresight[..., 1]), boresight[..., 2])
-        if not np.all((length > 1e-100) & (length < 1e100)):  # whose squares are numbers
-            raise ValueError(f"boresight={self.boresight!r}: expected non-zero vectors of at most 1e100")
-        object.__setattr__(self, "boresight", boresight)
-        object.__setattr__(self, "length", _checks.number("length", self.length, positive=True))
-        angle = _checks.number("half_angle", self.half_angle, positive=True)
-        if angle > np.pi:
-            raise ValueError(f"half_angle={angle!r}: expected radians in (0, pi]")
-        object.__setattr__(self, "half_angle", angle)
+# A term counts up to EDGE samples beyond its record's ends, where the trace is read at the end: far more than places in float64
+# are rounded by, so that pixels put on an edge count whatever the rounding, and far less than anything physical.
+# `reference.exact` states the same rule; `beam.EDGE_ANGLE` is its like.
+EDGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -138,8 +107,7 @@ class Echoes:
         if self.beam is not None:
             if not isinstance(self.beam, Beam):
                 raise TypeError(f"beam={self.beam!r}: expected a pysas.Beam or None")
-            if self.beam.boresight.shape not in ((3,), (ping, 3)):
-                raise ValueError(f"beam: boresight of shape {self.beam.boresight.shape}: expected (3,) or ({ping}, 3)")
+            self.beam.require_pings(ping)
         if not isinstance(self.compressed, bool | np.bool_):
             raise TypeError(f"compressed={self.compressed!r}: expected True or False")
         put("compressed", bool(self.compressed))
@@ -289,5 +257,5 @@ class Echoes:
         if self.pulse is not None:
             lines.append(f"  pulse      {self.pulse if isinstance(self.pulse, LFM) else f'{self.pulse.size} samples'}")
         if self.beam is not None:
-            lines.append(f"  beam       D {self.beam.length:g} m, half-angle {np.degrees(self.beam.half_angle):.3g} deg")
+            lines.append(f"  beam       {self.beam.describe()}")
         return "\n".join(lines + [f"  warning    {text}" for text in self.warnings()])

@@ -11,13 +11,15 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
-from pysas.engine.traces import TRACE
-from pysas.model.echoes import EDGE_ANGLE, Echoes
+from pysas.engine.traces import BEAM, CONE, FAN, NO_BEAM, TRACE, Records, record
+from pysas.model import beam as beams
+from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 
 UNIFORM = "uniform-angle"
 SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
 DRAWN = 4096  # pixels whose terms are looked at when data arrive
+PAIRS = 2**21  # of pixels and traces looked at where no term was found
 
 
 class Scene:
@@ -43,14 +45,18 @@ class Scene:
         trace["tx"], trace["rx"] = tx, rx
         if velocity is not None:
             trace["velocity"] = velocity.reshape(-1, 3)
-        self.cos_beam, self.all_lit = -1.0, False
-        if echoes.beam is not None and echoes.beam.half_angle + EDGE_ANGLE < np.pi:
-            boresight = echoes.beam.boresight / np.linalg.norm(echoes.beam.boresight, axis=-1, keepdims=True)
-            trace["boresight"] = np.repeat(np.broadcast_to(boresight, (pings, 3)), channels, axis=0)
-            self.cos_beam = float(np.cos(echoes.beam.half_angle + EDGE_ANGLE))  # of the largest angle that counts
-            self.all_lit = _lights(tx, trace["boresight"], max(self.cos_beam, 0.0), low, high)
-            if self.all_lit:
-                self.cos_beam = -1.0
+        self.beam, self.all_lit = record(BEAM, shape=NO_BEAM, half_angle=np.pi, full_angle=np.pi), False
+        if echoes.beam is not None:
+            fan = echoes.beam.shape == beams.FAN
+            edge = 0.0 if echoes.beam.taper > 0 else beams.EDGE_ANGLE
+            half = echoes.beam.half_angle
+            full = (1 - echoes.beam.taper) * half + edge
+            trace["boresight"] = np.repeat(np.broadcast_to(echoes.beam.boresights, (pings, 3)), channels, axis=0)
+            if fan:
+                trace["axis"] = np.repeat(np.broadcast_to(echoes.beam.axes, (pings, 3)), channels, axis=0)
+            self.all_lit = _lights(trace, fan, full, low, high)
+            if not self.all_lit:
+                self.beam = record(BEAM, shape=FAN if fan else CONE, half_angle=half + edge, full_angle=full)
         trace["t0"] = np.repeat(echoes.start_time, channels)
         self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
@@ -105,15 +111,28 @@ class Scene:
         """About the share of (trace, pixel) pairs within record and beam: the terms."""
         # a stride might meet one channel alone
         some = np.linspace(0, self.traces - 1, min(self.traces, TRACES)).astype(np.int64)
-        _, lit = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
-        return float(np.mean(lit)) if lit.size else 0.0
+        _, share = self.read(some, self._pixels, np.tile(np.arange(len(self._pixels)), (some.size, 1)))
+        return float(np.mean(share > 0)) if share.size else 0.0
 
     def read(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do.
+
+        The latter by what their beams leave of them, 0 to 1, and 0 beyond the records' ends.
+        """
+        index, share = self._look(traces, pixels, pick)
+        return index, np.where(self._within(index), share, 0.0)
+
+    def _within(self, index: FloatArray) -> npt.NDArray[np.bool_]:
+        return np.asarray((index >= 0) & (index <= self.n_sample - 1))
+
+    def _look(
+        self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same whatever the records' ends."""
         some = self.trace.take(traces)
-        tx, rx, velocity, boresight = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight"))
+        tx, rx, velocity, boresight, axis = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis"))
         pixel = [pixels[:, k][pick] for k in range(3)]
         away = [pixel[k] - tx[k] for k in range(3)]
         out = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
@@ -124,10 +143,25 @@ class Scene:
                 home = [pixel[k] - rx[k] - (velocity[k] * late if self.kind == MOVING else 0.0) for k in range(3)]
                 back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
         index = ((out + back) / self.c - some["t0"][:, None]) * self.fs
-        lit = (index >= 0) & (index <= self.n_sample - 1)
-        if self.cos_beam > -1:
-            lit &= away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2] >= self.cos_beam * out
-        return index, lit
+        if not self.beamed:
+            return index, np.ones(index.shape)
+        before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
+        if self.beam["shape"] == CONE:
+            angle = np.arctan2(np.sqrt(np.maximum(out**2 - before**2, 0)), before)
+        else:
+            aside = np.abs(away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2])
+            angle = np.arctan2(aside, np.sqrt(np.maximum(out**2 - aside**2, 0)))
+            angle[before < -beams.EDGE_ANGLE * out] = np.inf
+        half, full = float(self.beam["half_angle"]), float(self.beam["full_angle"])
+        share: FloatArray = np.where(angle <= half, 1.0, 0.0)
+        if full < half:
+            share *= np.cos(np.pi / 2 * np.clip((angle - full) / (half - full), 0, 1)) ** 2
+        return index, share
+
+    @property
+    def beamed(self) -> bool:
+        """Whether beams leave out or weaken any term."""
+        return bool(self.beam["shape"] != NO_BEAM)
 
     def even_line(self) -> bool:
         """Whether transmitters stand on an even line along x, to a hundredth of a wavelength: what Fourier algorithms take."""
@@ -165,24 +199,50 @@ class Scene:
         found = ", ".join(f"{np.count_nonzero(c)} {text}" for c, text in counts if c.any())
         return f"no trace is left of {self.traces}: {found}: image is zero"
 
-    def why_dark(self) -> str:
-        """Why no pixel has a term although traces are left."""
-        if self.cos_beam <= -1:
-            return "no pixel lies within the recorded window of any trace left: image is zero"
-        heard = False
-        for one in self.trace:
-            away = [np.linalg.norm(self._pixels - one[name], axis=1) for name in ("tx", "rx")]
-            index = ((away[0] + away[1]) / self.c - one["t0"]) * self.fs
-            heard = heard or bool(np.any((index >= 0) & (index <= self.n_sample - 1)))
-        what = "beam" if heard else "beam and recorded window"
-        return f"no pixel lies within the {what} of any trace left: image is zero"
+    def why_dark(self, finite: npt.NDArray[np.bool_] | None = None) -> str:
+        """Why no pixel has a term although traces are left, of all or of those that are `finite`.
+
+        Looked at in all pairs of them, or in PAIRS of pixels and traces all over where there are more.
+        """
+        left = np.flatnonzero(self.heard & (self.weights != 0) & (True if finite is None else finite))
+        pixels = self.drawn
+        if self.pixels * left.size <= PAIRS:
+            pixels = self._draw(self.pixels, 1)
+        left = left[_spread(min(left.size, max(1, PAIRS // len(pixels))), left.size, 1)]
+        heard = lit = False
+        for trace in left[:, None]:
+            index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
+            heard, lit = heard or bool(np.any(self._within(index))), lit or bool(np.any(share > 0))
+        within = "the recorded window"
+        if heard and lit:
+            within = "the beam and at once within the recorded window"
+        elif not lit:
+            within = "the beam" if heard else "the beam or the recorded window"
+        return f"no pixel lies within {within} of any trace left: image is zero"
 
 
-def _lights(tx: FloatArray, boresight: FloatArray, cosine: float, low: FloatArray, high: FloatArray) -> bool:
-    """Whether a box lies in every beam: its corners do, and beams up to a right angle off boresight are convex."""
+def _lights(trace: Records, fan: bool, angle: float, low: FloatArray, high: FloatArray) -> bool:
+    """Whether a box lies within `angle` in every beam: its corners do.
+
+    Cones up to a right angle are convex. So is what a fan holds on one side: across its axis a place is at least as far away
+    as along one direction, here the box's centre's, and |aside| <= tan(angle) of that is a wedge.
+    """
+    boresight, axis = trace["boresight"], trace["axis"]
+    if not fan and angle >= np.pi:
+        return True
+    sine, cosine = np.sin(angle) * (1 - 1e-9), np.cos(angle) + 1e-9
+    middle = (low + high) / 2 - trace["tx"]
+    out = middle - np.sum(middle * axis, axis=1, keepdims=True) * axis
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
     for corner in np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T:
-        away = corner - tx
-        if np.any(np.sum(away * boresight, axis=1) < (cosine + 1e-9) * np.linalg.norm(away, axis=1)):
+        away = corner - trace["tx"]
+        before = np.sum(away * boresight, axis=1)
+        if fan:
+            aside = np.abs(np.sum(away * axis, axis=1))
+            held = (before > 0) & (aside * max(cosine, 0.0) <= np.sum(away * out, axis=1) * sine)
+        else:
+            held = before >= max(cosine, 1e-9) * np.linalg.norm(away, axis=1)
+        if not held.all():
             return False
     return True
 

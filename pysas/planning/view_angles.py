@@ -106,7 +106,7 @@ def lattice(
         if wrong <= error or step <= least or wanted < least / 4:  # met, or out of reach
             break
         step = max(least, wanted, step / 4)
-    if wrong > max(error, most if scene.cos_beam > -1 else 0.0):
+    if wrong > max(error, most if scene.beamed else 0.0):
         return None
     # lines as long as the box has room for, where it has; a vector of pixels is a part of the longest
     along = np.ones(2) if scene.lines is None else scene.lines[1][len(scene.lines[1]) // 2][:2]
@@ -188,7 +188,7 @@ def fill(
     scene: Scene, points: FloatArray, order: npt.NDArray[np.int64], out: npt.NDArray[Any], threads: int, engine: Engine
 ) -> Patterns:
     """Arcs of traces `order` in `out` (point or more, trace), of its own type, as `arcs`."""
-    return engine.arcs(scene.trace, scene.channels, scene.cos_beam, points, order, out, threads)
+    return engine.arcs(scene.trace, scene.channels, scene.beam, points, order, out, threads)
 
 
 def _rms(values: FloatArray) -> float:

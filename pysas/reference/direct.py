@@ -38,12 +38,15 @@ def exact(
     """Sum weight s(tau) exp(+2j pi fc tau) over pings and channels, and its incoherent level R.
 
     A (pixel, ping, channel) term counts if and only if u = (tau - t0) fs lies from 0 to n - 1 for n samples and, with a
-    beam, if the angle between boresight and the vector from the transmitter to the pixel is at most the half-angle
-    (receivers are not tested; a pixel on the transmitter counts). Pixels are often put exactly on such an edge, where the
-    rounding of their coordinates would decide; so that it does not, edges lie outside of where they are put by EDGE = 1e-4
-    samples (-1e-4 <= u <= n - 1 + 1e-4) and EDGE_ANGLE = 1e-7 rad: coordinates of 5e6 m rounded to float64 are wrong by
-    1e-6 samples at 1 MHz and by 1e-9 rad at 1 m, and no sonar is known to 2 um or 1e-7 rad. Beyond its end a trace is read
-    at the end. The delay obeys c tau = |x - tx| + |x - rx - velocity tau|.
+    beam, if the pixel's angle alpha off its middle is at most the half-angle: the angle between the vector from the
+    transmitter to the pixel and boresight (cone), or the plane across the fan's axis, of which only boresight's side counts
+    (receivers are not tested; a pixel on the transmitter counts). It then weighs 1 up to (1 - taper) half_angle and
+    cos^2(pi/2 (alpha - (1 - taper) half_angle)/(taper half_angle)) beyond, beside `weights`. Pixels are often put exactly on
+    an edge, where the rounding of their coordinates would decide; so that it does not, edges lie outside of where they are
+    put by EDGE = 1e-4 samples (-1e-4 <= u <= n - 1 + 1e-4) and, where there is no taper and at the end of a fan's side,
+    EDGE_ANGLE = 1e-7 rad: coordinates of 5e6 m rounded to float64 are wrong by 1e-6 samples at 1 MHz and by 1e-9 rad at 1 m,
+    and no sonar is known to 2 um or 1e-7 rad. Beyond its end a trace is read at the end. The delay obeys
+    c tau = |x - tx| + |x - rx - velocity tau|.
 
     Each trace is read as a band-limited signal: extended with zeros, low-passed by W(f) = 1 for |f| <= fs/2.2 falling
     as cos^2 to exactly 0 at fs/2, and sampled at 8 fs. Here the zeros have no end: the trace is convolved with W's
@@ -142,7 +145,7 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
     fs, fc, c = (np.longdouble(value) for value in (echoes.fs, echoes.fc, echoes.c))
     last = echoes.n_sample - 1
     for ping in range(echoes.n_ping):
-        seen = _seen(echoes, points, ping)
+        seen, lit = _seen(echoes, points, ping)
         start_time = np.longdouble(echoes.start_time[ping])
         outward = _distance(points[:, seen], echoes.tx[ping])
         for channel in range(echoes.n_channel):
@@ -160,6 +163,7 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
                     fine = _fine_trace(echoes.traces[ping, channel])
                 pixel = chunk[counts]
                 sample = factors[ping, channel] * _read(fine, np.clip(position[counts], 0, last))
+                sample *= lit[start : start + CHUNK][counts]
                 turns = fc * tau[counts]
                 turns -= np.rint(turns)
                 total[pixel] += sample * np.exp(2j * np.pi * turns.astype(np.float64))
@@ -167,15 +171,29 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
     return total, power
 
 
-def _seen(echoes: Echoes, points: Long, ping: int) -> npt.NDArray[np.intp]:
-    """Indices of the points within the transmitter's beam."""
-    if echoes.beam is None:
-        return np.arange(points.shape[1])
+def _seen(echoes: Echoes, points: Long, ping: int) -> tuple[npt.NDArray[np.intp], Float]:
+    """Indices of the points within the transmitter's beam, and what their terms weigh for it."""
+    beam = echoes.beam
+    if beam is None:
+        return np.arange(points.shape[1]), np.ones(points.shape[1])
     direction = (points - echoes.tx[ping].astype(np.longdouble)[:, None]).astype(np.float64).T
-    boresight = np.broadcast_to(echoes.beam.boresight, echoes.tx.shape)[ping]
-    # The arctangent keeps small angles, which an arc cosine would round away.
-    angle = np.arctan2(np.linalg.norm(np.cross(direction, boresight), axis=-1), direction @ boresight)
-    return np.flatnonzero(angle <= echoes.beam.half_angle + EDGE_ANGLE)
+    boresight = np.broadcast_to(beam.boresight, echoes.tx.shape)[ping]
+    # arctangents keep small angles, which arc cosines would round away
+    if beam.shape == "cone":
+        angle = np.arctan2(np.linalg.norm(np.cross(direction, boresight), axis=-1), direction @ boresight)
+        seen = np.ones(angle.size, dtype=np.bool_)
+    else:
+        axis = np.cross(boresight, [0, 0, 1]) if beam.axis is None else np.broadcast_to(beam.axis, echoes.tx.shape)[ping]
+        angle = np.arctan2(np.abs(direction @ axis), np.linalg.norm(np.cross(direction, axis), axis=-1))
+        distance = np.linalg.norm(direction, axis=-1) * np.linalg.norm(boresight)
+        seen = direction @ boresight >= -EDGE_ANGLE * distance
+    edge = beam.half_angle + (EDGE_ANGLE if beam.taper == 0 else 0.0)
+    lit = np.flatnonzero(seen & (angle <= edge))
+    weight = np.ones(lit.size)
+    if beam.taper > 0:
+        ramp = (angle[lit] - (1 - beam.taper) * beam.half_angle) / (beam.taper * beam.half_angle)
+        weight = np.cos(np.pi / 2 * np.clip(ramp, 0, 1)) ** 2
+    return lit, weight
 
 
 def _distance(points: Long, origin: Float) -> Long:

@@ -57,7 +57,7 @@ def omega_k(
     range_bandwidth : float, optional
         Two-sided processing bandwidth about fc, Hz, with sharp ends; default: fs.
     along_bandwidth : float, optional
-        Two-sided processing bandwidth in along-track wavenumber, rad/m, about the beam's axis; default: 2 pi/spacing.
+        Two-sided processing bandwidth in along-track wavenumber, rad/m, about the beam's middle; default: 2 pi/spacing.
     weight : {"flat", "backprojection"}
         "flat": every (k_x, k_u) counts as it was recorded. "backprojection": as in the sum over pings, see Notes.
     threads : int, optional
@@ -84,7 +84,8 @@ def omega_k(
     Back-projection sums s(tau) exp(2j pi fc tau) over pings: for each frequency a convolution over x with exp(2j k R), whose
     Fourier transform is -2 pi r (k/k_x) H1(k_x r), H1 the Hankel function of the first kind; for k_x r >> 1 that is
     sqrt(pi r/k) (1 - (k_u/2k)^2)^(-3/4) exp(j k_x r + j pi/4), with relative error 3/(8 k_x r). "backprojection" multiplies
-    by this, divided by the spacing of pings: the image then equals that of `backproject`, without a free factor.
+    by this, divided by the spacing of pings: the image then equals that of `backproject` of echoes without a beam, or whose
+    beam's edge and taper lie beyond `along_bandwidth`, without a free factor.
 
     O(N log N) in samples; memory 1 to 3 times the data.
     """

@@ -69,10 +69,11 @@ def one_way(
         Sound speed, m/s, from depth `top`, m, down; the first top is 0. A speed may be (ping,): the part that varies along x is
         split off (Strang), refraction by it is right to the order of dz. Default: echoes.c everywhere.
     weight : {"flat", "backprojection"}
-        As in `omega_k`: "backprojection" gives the image that `backproject` sums, in water of one speed.
+        As in `omega_k`: "backprojection" gives the image that `backproject` sums without a beam, in water of one speed.
     half_angle : float, optional
-        Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam (at most what
-        the pings sample), else 15 degrees, or what fourth-order differences at this spacing carry if that is less.
+        Largest angle from broadside that must focus, rad: margins and steps follow it. Default: that of the beam, its taper
+        included (at most what the pings sample), else 15 degrees, or what fourth-order differences at this spacing carry if
+        that is less.
     step : float, optional
         Longest step in range, m. Default: "base-band": the phase of Crank-Nicolson at half_angle adds up to 0.2 rad;
         "carrier": c/(2 fc)/16.

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.pulse import LFM
@@ -225,8 +226,11 @@ def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float
         if half >= np.pi / 2:
             raise ValueError(f"half_angle={half_angle!r}: expected radians in (0, pi/2)")
     elif echoes.beam is not None:
-        boresight = echoes.beam.boresight.reshape(-1, 3)
-        squint = np.arcsin(np.abs(boresight[:, 0]) / np.linalg.norm(boresight, axis=1)).max()
+        # a cone's middle is a direction, a fan's a plane: from broadside no farther than its axis from the track
+        if echoes.beam.shape == FAN:
+            squint = np.arctan2(np.linalg.norm(echoes.beam.axes[:, 1:], axis=1), np.abs(echoes.beam.axes[:, 0])).max()
+        else:
+            squint = np.arcsin(np.minimum(np.abs(echoes.beam.boresights[:, 0]), 1.0)).max()
         half = float(min(echoes.beam.half_angle + squint, 1.1))
     else:
         return float(min(np.arcsin(min(min(carried, COMPACT) / (k * spacing), 1.0)), np.radians(15)))

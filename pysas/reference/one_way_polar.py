@@ -47,7 +47,7 @@ def one_way_polar(
     angle, step, threads
         As in `one_way`.
     half_angle : float, optional
-        Largest angle from the radius at the sonar that must focus, rad; as in `one_way`.
+        Largest angle from the radius at the sonar that must focus, rad; as in `one_way`, for a beam that looks along radii.
     margin : int, optional
         Columns added at either end: silence, or on a full circle the other end. Default: all that half_angle can cross.
 

@@ -7,7 +7,7 @@ the track onto even positions. It relies on Echoes and on the checks of `stripma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,10 @@ from scipy.special import i0
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.reference.stripmap import TOLERANCE, one_start
+from pysas.reference.stripmap import TOLERANCE, beam_middle, one_start
 
 _HALF_WIDTH = 16  # of the interpolator in time, samples
 _NEIGHBOURS = 16  # traces that one interpolated trace is made of
@@ -138,10 +139,16 @@ def phase_centres(
     tx = np.stack([x, np.full(x.size, place[:, 1].mean()), np.full(x.size, place[:, 2].mean())], axis=1)
     residual = _residual(echoes, centres, r, delay, width, carrier)
     attrs = {**echoes.attrs, "residual_phase": residual, "resampling_error": error}
-    beam = echoes.beam
-    if beam is not None and beam.boresight.ndim == 2:
-        beam = type(beam)(beam.boresight.mean(axis=0), beam.length, beam.half_angle)
+    beam = None if echoes.beam is None else _for_all(echoes.beam)
     return echoes.replace(data=data, tx=tx, rx=tx, velocity=None, ping_time=None, t0=start, attrs=attrs, beam=beam)
+
+
+def _for_all(beam: Beam) -> Beam:
+    """A beam with the mean directions of all pings, itself where it has no others."""
+    if beam.boresight.ndim == 1 and (beam.axis is None or beam.axis.ndim == 1):
+        return beam
+    axis = None if beam.axis is None else beam.axes.mean(axis=0)
+    return replace(beam, boresight=beam.boresights.mean(axis=0), axis=axis)
 
 
 def delayed(echoes: Echoes, trace: ComplexArray, delay: FloatArray) -> Complex:
@@ -181,8 +188,7 @@ def _band(echoes: Echoes, along_bandwidth: float | None, step: float) -> tuple[f
     """Width and centre of the along-track band, rad/m."""
     carrier = 0.0
     if echoes.beam is not None:
-        boresight = echoes.beam.boresight.reshape(-1, 3).mean(axis=0)
-        carrier = 4 * np.pi * echoes.fc / echoes.c * float(boresight[0] / np.linalg.norm(boresight))
+        carrier = 4 * np.pi * echoes.fc / echoes.c * float(beam_middle(echoes.beam)[0])
     if along_bandwidth is not None:
         return along_bandwidth, carrier
     sampled = _BAND * 2 * np.pi / step

@@ -17,6 +17,7 @@ import scipy.fft
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.pulse import LFM
@@ -95,6 +96,9 @@ class Strip:
 def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes") -> Strip:
     """Check that `echoes` are what a Fourier algorithm takes, and lay out its axes.
 
+    Of a beam it takes the side and the middle of the along-track band: Fourier algorithms focus all that is recorded within
+    that, as if the beam held it, and weigh nothing by its half-angle or taper.
+
     Parameters
     ----------
     echoes : Echoes
@@ -131,9 +135,9 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         data, first, step = data[::-1], first + np.array([(len(data) - 1) * step, 0, 0]), -step
     centre, side = 0.0, 1.0
     if echoes.beam is not None:
-        boresight = echoes.beam.boresight.reshape(-1, 3).mean(axis=0)
-        side = -1.0 if boresight[1] < 0 else 1.0
-        centre = 4 * np.pi * echoes.fc / echoes.c * float(boresight[0] / np.linalg.norm(boresight))
+        middle = beam_middle(echoes.beam)
+        side = -1.0 if middle[1] < 0 else 1.0
+        centre = 4 * np.pi * echoes.fc / echoes.c * float(middle[0])
     sampled = 2 * np.pi / step
     if along_bandwidth is None:
         band = sampled
@@ -154,6 +158,16 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     kept = np.abs(k_u - centre) <= band / 2 * (1 + 1e-12)
     x0, y0, z0 = (float(v) for v in first)
     return Strip(echoes, data, x0, step, y0, z0, side, start, k_u, kept, cosine)
+
+
+def beam_middle(beam: Beam) -> FloatArray:
+    """(3,) mean direction, of length 1, of a beam's middle: boresight, or for a fan what of it lies across the fan's axis."""
+    look = beam.boresights
+    if beam.shape == FAN:
+        look = look - np.sum(look * beam.axes, axis=-1, keepdims=True) * beam.axes
+        look /= np.linalg.norm(look, axis=-1, keepdims=True)
+    mean = look.mean(axis=0)
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-300))
 
 
 def one_start(echoes: Echoes, name: str = "echoes") -> float:

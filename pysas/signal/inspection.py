@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pysas._checks import FloatArray
+from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
+
+_AHEAD = 45.0  # degrees from broadside, beyond which a beam looks along the track
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ def inspect(echoes: Echoes) -> list[Finding]:
         _times(echoes),
         _range_sampling(echoes),
         _along_track(echoes),
+        _beam(echoes),
         _track(echoes),
         _receivers(echoes),
         _pulse(echoes),
@@ -104,6 +108,53 @@ def _along_track(echoes: Echoes) -> Finding:
     if largest > length / 4 * (1 + 1e-9):
         return Finding("along-track sampling", "warn", text + f", above D/4 = {length / 4:.4g} m")
     return Finding("along-track sampling", "ok", text + f", within D/4 = {length / 4:.4g} m")
+
+
+def _beam(echoes: Echoes) -> Finding:
+    """A beam that looks along the track, or turns within a ping by more than it is wide; where the seabed is nobody knows."""
+    beam = echoes.beam
+    if beam is None:
+        return Finding("beam", "ok", "none given")
+    text = beam.describe()
+    if beam.shape == FAN:
+        given = "level, across boresight" if beam.axis is None else "as given"
+        text += f", axis {given}" + (f": {', '.join(f'{v:.3g}' for v in beam.axes[0])}" if len(beam.axes) == 1 else "")
+    turned = _turned(beam)
+    if np.any(turned > beam.half_angle):
+        ping = int(np.argmax(turned > beam.half_angle))
+        return Finding("beam", "warn", text + f"; turns by {np.degrees(turned[ping]):.3g} deg first before ping {ping + 1}")
+    step = np.gradient(echoes.tx, axis=0) if echoes.n_ping > 1 else np.zeros((1, 3))
+    length = np.linalg.norm(step, axis=1)
+    if not np.any(length > 0):
+        return Finding("beam", "ok", text)
+    along = step / np.maximum(length, 1e-300)[:, None]
+    ahead = np.abs(np.sum(along * (beam.axes if beam.shape == FAN else beam.boresights), axis=1))[length > 0]
+    # of a fan's axis from the track, or of a cone's boresight from the plane across it
+    angle = np.arccos(np.minimum(ahead, 1.0)) if beam.shape == FAN else np.arcsin(np.minimum(ahead, 1.0))
+    off = float(np.degrees(np.median(angle)))
+    if off > _AHEAD:
+        return Finding("beam", "warn", text + f"; its middle lies {off:.3g} deg from broadside of the track: looks along it")
+    return Finding("beam", "ok", text + f"; its middle lies {off:.2g} deg from broadside of the track")
+
+
+def _turned(beam: Beam) -> FloatArray:
+    """Angles by which a beam's middle turns from each ping to the next, rad; pi where a fan looks to the other side."""
+    look = beam.boresights
+    if beam.shape != FAN:
+        return _between(look[:-1], look[1:])
+    other = np.sum(look[:-1] * look[1:], axis=1) < 0
+    turned = np.zeros(max(len(look), len(beam.axes)) - 1)
+    if len(beam.axes) > 1:
+        angle = _between(beam.axes[:-1], beam.axes[1:])
+        turned[:] = np.minimum(angle, np.pi - angle)
+    if len(look) > 1:
+        turned[other] = np.pi
+    return turned
+
+
+def _between(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Angles between vectors of length 1, rad."""
+    return np.asarray(2 * np.arctan2(np.linalg.norm(one - other, axis=1), np.linalg.norm(one + other, axis=1)))
 
 
 def _track(echoes: Echoes) -> Finding:

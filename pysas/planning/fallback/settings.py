@@ -30,7 +30,7 @@ def choose(scene: Scene, budget: float, engine: Parts, wide: float = 0.0, leaves
     """Settings whose bounds add up to at most `budget`, a relative error.
 
     `wide` : for data that are bright beside what pixels read, as many times as bright at their records' ends: whole records
-    are transformed in float64; `leaves` : for leaves of trees, whose delays are polynomials along 64 nodes of a ray.
+    are transformed in float64; `leaves` : for nodes of trees, whose steps are long.
     """
     single = scene.dtype == np.complex64 or budget >= 1e-5 * (1 - 1e-9)
     errors: dict[str, float] = {}
@@ -47,8 +47,6 @@ def choose(scene: Scene, budget: float, engine: Parts, wide: float = 0.0, leaves
     if single:  # and as many batches, of 8 traces at least, as the image may be a sum of: see Interpreted.wide
         batches = min(-(-scene.traces // 8), run // 8)
         errors["running sums"] = bounds.running_error(min(run, scene.traces), engine.sums) + bounds.running_error(batches, 1)
-    if leaves:
-        errors["drift"] = PHASE * budget
     # transforms, whose zeros keep a record's ends from coming round; near these a low-passed trace holds all |f| < 1/2
     errors["wrap-round"] = WRAP * budget
     away = bounds.guard(WRAP * budget / max(wide, 1.0))
