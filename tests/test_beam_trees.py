@@ -6,7 +6,7 @@ import pytest
 import pysas
 from pysas.engine import cpp, native
 
-needs_extension = pytest.mark.skipif(native.extension() is None, reason="the C++ extension is not built")
+needs_extension = pytest.mark.skipif(native.extension() is None, reason="needs the compiled extension pysas.engine._core")
 pytestmark = needs_extension
 FS, FC, BAND, C = 36e3, 100e3, 30e3, 1500.0
 TOLS = (1e-1, 1e-2, 1e-3, 1e-4)
