@@ -163,9 +163,11 @@ class Fade {
     // Of line `r`; returns how many pixels weigh nothing.
     int operator()(const Shades<V, N>& shades, int r, Vectors vectors, int count, const real* x, real* weight) const {
         const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.middle[r]);
+        const int last = vectors.end - 1;
+        int dark = 0;
         vec c[N - 1];
         for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
-        for (int s = vectors.begin; s < vectors.end; ++s) {
+        for (int s = vectors.begin; s <= last; ++s) {
             const vec at = V::load(x + s * V::n);
             vec sine = c[N - 2];
             for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
@@ -175,15 +177,10 @@ class Fade {
             vec w = power_[ramp_powers - 1];
             for (int q = ramp_powers - 3; q >= 0; q -= 2) w = V::fma(w, square, V::fma(power_[q + 1], e, power_[q]));
             V::store(weight + s * V::n, V::mul(w, square));
+            if (s > vectors.begin && s < last) continue;  // a fan's middle lies between its edges
+            for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) dark += weight[m] == 0;
         }
-        const auto dark = [&](int s) {
-            int found = 0;
-            for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) found += weight[m] == 0;
-            return found;
-        };
-        // at a line's ends alone: a fan's middle lies between its edges
-        const int last = vectors.end - 1;
-        return dark(vectors.begin) + (last > vectors.begin ? dark(last) : 0);
+        return dark;
     }
 
   private:
