@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
+    from pysas.survey.strips import Strip
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "backproject", "backproject_arrays", "circular", "comparison",
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
     "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot",
     "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
@@ -46,6 +47,7 @@ _MODULES = {
     "signal.compression": ("compress",),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),
+    "survey.strips": ("Strip",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 _LOADING = threading.RLock()

@@ -1,0 +1,1 @@
+"""Surveys: strips of images along a track, from pings as they come."""

@@ -1,0 +1,289 @@
+"""Strip: images of a long track one after another, from pings as they come.
+
+Pings are taken in blocks. A block's image covers what its beams light, and is added to the images that it crosses; an image is
+given away once no ping to come lights it. So each ping's sub-images are made once, and what is kept is as long as the beam's
+footprint, not as the track.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pysas import _checks
+from pysas._checks import ComplexArray, FloatArray
+from pysas.imaging.planner import plan
+from pysas.model.beam import FAN
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.model.image import Image, Report
+from pysas.survey.pings import joined, part
+
+ROWS = 64  # of the grid, at which reaches along the track are looked at
+
+
+@dataclass
+class _Pending:
+    """An image to come, and what was done for it."""
+
+    data: ComplexArray
+    reports: list[Report] = field(default_factory=list)
+
+
+class Strip:
+    """Images of `length` m along x, side by side, of a track along x.
+
+    Parameters
+    ----------
+    y : (row,) array_like
+        Across-track coordinates of the pixels, m.
+    step, length : float
+        Of pixels and of images along x, m; `length` a multiple of `step`.
+    origin : float
+        x of a first column of images: they begin at origin + number length.
+    z : float or callable
+        Height of the ground, m, or a function of the vectors x and y that returns heights (row, column).
+    tol, method, threads, backend, nan
+        As in `pysas.plan`. Errors of blocks add as squares, as R^2 of an image does, so that each image keeps `tol`.
+    block : float, optional
+        m of track whose pings are summed at a time; default `length`.
+    slack : float
+        m along x by which a ping to come may light what none before it of the newest block would: yaw, surge.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Arguments of the wrong type, shape or range.
+
+    Notes
+    -----
+    Memory: images as long as a footprint and an image, a block's image of a footprint and a block, the block's pings.
+    """
+
+    @_checks.usual_errors
+    def __init__(
+        self, y: npt.ArrayLike, step: float, length: float, *, origin: float = 0.0,
+        z: float | Callable[[FloatArray, FloatArray], npt.ArrayLike] = 0.0, tol: float = 1e-3, method: str = "auto",
+        threads: int | None = None, backend: str = "auto", nan: str = "raise", block: float | None = None, slack: float = 1.0,
+    ) -> None:  # fmt: skip
+        self.y = _checks.reals("y", y, [("row",)], ("row",))
+        self.step = _checks.number("step", step, positive=True)
+        self.length = _checks.number("length", length, positive=True)
+        self.columns = round(self.length / self.step)
+        if not self.columns or abs(self.columns * self.step - self.length) > 1e-6 * self.length:
+            raise ValueError(f"length={length!r}: expected a multiple of step={step!r}")
+        self.origin = _checks.number("origin", origin)
+        self.z = z if callable(z) else _checks.number("z", z)
+        self.block = self.length if block is None else _checks.number("block", block, positive=True)
+        self.slack = _checks.number("slack", slack)
+        if self.slack < 0:
+            raise ValueError(f"slack={slack!r}: expected at least 0 m")
+        self.options = {"tol": tol, "method": method, "threads": threads, "backend": backend, "nan": nan}
+
+    def grid(self, first: int, count: int) -> Grid:
+        """Pixels of `count` columns from number `first` on."""
+        x = np.asarray(self.origin + self.step * np.arange(first, first + count), dtype=np.float64)
+        return Grid.surface(x, self.y, self.z(x, self.y)) if callable(self.z) else Grid.plane(x, self.y, self.z)
+
+    def stream(self, pings: Iterable[Echoes]) -> Iterator[Image]:
+        """Images, in the order of the track, as soon as no ping to come lights them.
+
+        Parameters
+        ----------
+        pings : iterable of Echoes
+            In the order of the track, one or many pings each, all with beams, of one array and sampling. Their navigation is
+            what plans are made from: gaps, changing speed, sway and yaw are the normal case.
+
+        Yields
+        ------
+        Image
+            What no ping lights is not given; a note of the next image tells of such a gap.
+
+        Raises
+        ------
+        ValueError, TypeError
+            Echoes without a beam or of different sampling, and what `pysas.plan` raises.
+
+        Warns
+        -----
+        UserWarning
+            A ping lights an image that was given away already: its part there is left out. A larger `slack` waits longer.
+
+        Notes
+        -----
+        A block's time is that of `pysas.focus` on what it lights, planning included.
+        """
+        state = _Stream(self)
+        for block in _blocks(pings, self.block):
+            state.add(block)
+            yield from state.complete()
+        yield from state.rest()
+
+
+class _Stream:
+    """One run along a strip."""
+
+    def __init__(self, strip: Strip) -> None:
+        self.strip = strip
+        self.pending: dict[int, _Pending] = {}
+        self.forward = 0  # 1 or -1 along x, once it is known
+        self.given: int | None = None  # the image given away last
+        self.reach = (-np.inf, np.inf)  # of the newest ping
+        self.echoes: Echoes | None = None
+
+    def add(self, echoes: Echoes) -> None:
+        """Image what a block lights."""
+        strip = self.strip
+        ends = [reach_along(echoes, ping, strip) for ping in range(echoes.n_ping)]
+        lit = [end for end in ends if end is not None]
+        self.echoes = echoes
+        moved = float(echoes.tx[-1, 0] - echoes.tx[0, 0])
+        self.forward = self.forward or int(np.sign(moved))
+        if not lit:
+            return
+        self.reach = lit[-1]
+        low = int(np.ceil((min(end[0] for end in lit) - strip.origin) / strip.step - 1e-9))
+        high = int(np.floor((max(end[1] for end in lit) - strip.origin) / strip.step + 1e-9)) + 1
+        low, high = self._left(low, high)
+        if low >= high:
+            return
+        grid = strip.grid(low, high - low)
+        image = plan(echoes, grid, **strip.options)(echoes.data)  # type: ignore[arg-type]
+        for number in range(low // strip.columns, (high - 1) // strip.columns + 1):
+            begin = number * strip.columns
+            one = self.pending.get(number)
+            if one is None:
+                one = self.pending[number] = _Pending(np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype))
+            first, last = max(low, begin), min(high, begin + strip.columns)
+            one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
+            one.reports.append(image.report)
+
+    def _left(self, low: int, high: int) -> tuple[int, int]:
+        """Of columns low to high - 1 those of images that were not given away."""
+        if self.given is None:
+            return low, high
+        edge = (self.given + (self.forward > 0)) * self.strip.columns
+        late = edge - low if self.forward > 0 else high - edge
+        if late > 0:
+            where = self.strip.origin + edge * self.strip.step
+            warnings.warn(
+                f"pings light {late * self.strip.step:.3g} m before x = {where:.6g} m, where images were given away: left out "
+                f"there; expected slack={self.strip.slack + late * self.strip.step:.3g} or more",
+                stacklevel=4,
+            )
+        return (max(low, edge), high) if self.forward > 0 else (low, min(high, edge))
+
+    def complete(self) -> Iterator[Image]:
+        """Images that lie behind what the newest ping lights."""
+        if not self.forward:
+            return
+        strip = self.strip
+        for number in sorted(self.pending, key=lambda k: k * self.forward):
+            begin = strip.origin + number * strip.length
+            behind = (
+                begin + strip.length < self.reach[0] - strip.slack if self.forward > 0 else begin > self.reach[1] + strip.slack
+            )
+            if not behind:
+                return
+            yield self._give(number)
+
+    def rest(self) -> Iterator[Image]:
+        for number in sorted(self.pending, key=lambda k: k * (self.forward or 1)):
+            yield self._give(number)
+
+    def _give(self, number: int) -> Image:
+        strip, one = self.strip, self.pending.pop(number)
+        last = one.reports[-1]
+        terms = sum(report.terms for report in one.reports)
+        notes = list(dict.fromkeys(note for report in one.reports for note in report.notes))
+        if self.given is not None and abs(number - self.given) > 1:
+            ends = sorted((self.given + (self.forward > 0), number + (self.forward < 0)))
+            low, high = (strip.origin + end * strip.length for end in ends)
+            notes.append(f"nothing lights x from {low:.6g} to {high:.6g} m")
+        self.given = number
+        report = Report(
+            last.method, last.tol, last.backend, last.isa, last.threads,
+            sum(report.prepare_seconds for report in one.reports), sum(report.sum_seconds for report in one.reports), terms,
+            min(report.share_left_out for report in one.reports),
+            sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
+            max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
+        )  # fmt: skip
+        if self.echoes is None:
+            raise _checks.InternalError("an image before any ping")
+        return Image(one.data, strip.grid(number * strip.columns, strip.columns), report, self.echoes.fc, self.echoes.c)
+
+
+def _blocks(pings: Iterable[Echoes], length: float) -> Iterator[Echoes]:
+    """Blocks of pings that advance by at most `length` m along x, or are one ping."""
+    kept: list[Echoes] = []
+    start = 0.0
+    for echoes in pings:
+        if not isinstance(echoes, Echoes):
+            raise TypeError(f"pings: {type(echoes).__name__}: expected pysas.Echoes")
+        if echoes.beam is None:
+            raise ValueError("pings: no beam: expected echoes with one, without it every ping lights the whole strip")
+        begin = 0
+        for ping in range(echoes.n_ping):
+            x = float(echoes.tx[ping, 0])
+            if not kept and ping == begin:
+                start = x
+            elif abs(x - start) >= length:
+                if ping > begin:
+                    kept.append(part(echoes, begin, ping))
+                yield joined(kept)
+                kept, begin, start = [], ping, x
+        kept.append(part(echoes, begin, echoes.n_ping))
+    if kept:
+        yield joined(kept)
+
+
+def reach_along(echoes: Echoes, ping: int, strip: Strip) -> tuple[float, float] | None:
+    """Least and largest x that a ping lights within its record, at any row of a strip; None where it lights nothing.
+
+    With X = x - tx the condition |X u + e| <= s sqrt(X^2 + h^2) of a fan (u, e: of its axis along x and of the rest; s: the
+    sine of its half-angle), or its opposite for a cone, is quadratic in X; so is the record's end.
+    """
+    beam = echoes.beam
+    if beam is None:
+        raise _checks.InternalError("no beam")
+    fan = beam.shape == FAN
+    vectors = beam.axes if fan else beam.boresights
+    to = vectors[min(ping, len(vectors) - 1)]
+    rows = strip.y[np.unique(np.linspace(0, strip.y.size - 1, min(ROWS, strip.y.size)).astype(int))]
+    heights = _heights(strip, echoes, rows)
+    tx = echoes.tx[ping]
+    away = np.array([(y - tx[1], z - tx[2]) for y, levels in zip(rows, heights, strict=True) for z in levels])
+    square = np.sum(away**2, axis=1)
+    # the farthest sample: half the way and what receivers are off
+    last = echoes.c * (float(echoes.start_time[ping]) + (echoes.n_sample - 1) / echoes.fs)
+    off = float(np.max(np.linalg.norm(echoes.receivers[ping] - tx, axis=-1)))
+    farthest = np.sqrt(np.maximum((last / 2 + off) ** 2 - square, 0.0)) * ((last / 2 + off) ** 2 > square)
+    rest = away @ to[1:]
+    limit = np.sin(beam.half_angle) if fan else np.cos(beam.half_angle)
+    a, b, c = to[0] ** 2 - limit**2, to[0] * rest, rest**2 - limit**2 * square
+    low, high = -farthest, farthest.copy()
+    if (fan and a > 0) or (not fan and limit > 0 and a < 0):  # else only the record ends it
+        root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+        real = b**2 - a * c >= 0
+        ends = np.sort(np.stack([(-b - root) / a, (-b + root) / a]), axis=0)
+        low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
+        low[~real], high[~real] = 1.0, -1.0
+    lit = (low <= high) & (farthest > 0)
+    if not lit.any():
+        return None
+    margin = float(np.max(np.abs(np.diff(strip.y, prepend=strip.y[0])))) + strip.step  # rows between those looked at
+    return float(tx[0] + low[lit].min() - margin), float(tx[0] + high[lit].max() + margin)
+
+
+def _heights(strip: Strip, echoes: Echoes, rows: FloatArray) -> FloatArray:
+    """Heights (row, some) that the ground has at rows near a block."""
+    if not callable(strip.z):
+        return np.full((rows.size, 1), float(strip.z))
+    middle = float(np.mean(echoes.tx[:, 0]))
+    reach = echoes.swath[1] + float(np.ptp(echoes.tx[:, 0]))
+    found = _checks.reals("z", strip.z(np.linspace(middle - reach, middle + reach, ROWS), rows), [(rows.size, ROWS)])
+    return np.stack([found.min(axis=1), found.max(axis=1)], axis=1)
