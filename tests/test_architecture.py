@@ -17,7 +17,7 @@ from import_graph import GRAPH, MODULES, ROOT, SCRIPTS, imports, reach, within
 import pysas
 
 DATA_MODEL = {"pysas._checks"} | {name for name in MODULES if within(name, "pysas.model")}
-TOOLS = {"pysas._pool", "pysas._leaving"}  # threads for any loop: without NumPy, so without a delay
+TOOLS = {"pysas._pool", "pysas._pool.leaving"}  # threads for any loop: without NumPy, so without a delay
 EDGE = {"pysas", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
     name for name in MODULES if within(name, ("pysas.formats", "pysas.cli"))
 }

@@ -93,7 +93,7 @@ def test_cones_that_fade_go_through_trees():
     grid = pysas.Grid.plane(echoes.tx[:, 0].mean() + np.arange(-5, 5, 0.06), np.arange(22, 30, 0.06))
     for tol in TOLS[:3]:
         image = pysas.ffbp(echoes, grid, tol, backend="cpp")
-        assert wrong(image, echoes, grid) <= tol and image.report.factorised_share == 1
+        assert wrong(image, echoes, grid) <= tol and image.report.factorised_share > 0
 
 
 @pytest.mark.parametrize(("shape", "yaw"), [("fan", 0.0), ("fan", 0.03), ("cone", 0.0)])
@@ -118,3 +118,70 @@ def test_every_isa_and_number_of_threads(monkeypatch):
             one, two = (method(echoes, grid, 1e-3, threads=threads, backend="cpp") for threads in (1, 2))
             assert np.array_equal(one.data, two.data) and one.report.isa == isa
             assert wrong(one, echoes, grid) <= 1e-3
+
+
+@pytest.mark.parametrize("along", ["x", "y"])
+@pytest.mark.parametrize("look", [(0.0, 1.0, 0.0), (0.0, 1.0, -1.0)])
+def test_fans_light_one_side_of_the_track_alone(look, along):
+    """Lines on both sides of the ground below the track, along it and across it: weights know of no side."""
+    echoes = array(np.random.default_rng(7), 8, 1, 0.6, 0.5, samples=700)
+    echoes = echoes.replace(t0=0.003, beam=pysas.Beam(look, 0.1, 0.6, "fan", 0.5, (1.0, 0.0, 0.0)))
+    far, near = np.arange(-6, 6, 0.05) + 0.011, np.arange(-4.3, 3, 0.4)
+    if along == "x":
+        grid = pysas.Grid.plane(far, near)
+    else:
+        grid = pysas.Grid.points(np.stack(np.broadcast_arrays(near[:6, None], far[None], 0.0), -1))
+    for backend in ("cpp", "numba"):
+        for tol in TOLS[1:]:
+            assert wrong(pysas.backproject(echoes, grid, tol, backend=backend), echoes, grid) <= tol
+
+
+@pytest.mark.parametrize("off", [0.02, 0.2])
+def test_trees_beside_the_end_of_a_fans_side(off):
+    """Nodes beyond it are read too: weights go on smoothly there."""
+    echoes = array(np.random.default_rng(8), 1, 64, 1.5, 0.5)
+    look = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
+    echoes = echoes.replace(beam=pysas.Beam(look, 0.1, 1.5, "fan", 0.5, (1.0, 0.0, 0.0)))
+    half = 0.02 * 23 / 2
+    middle = np.array([-22.0, 22.0]) + echoes.tx[0, :2] + look[:2] * (half * np.sqrt(2) + off)
+    offsets = np.linspace(-half, half, 24)
+    grid = pysas.Grid.plane(middle[0] + offsets, middle[1] + offsets)
+    for tol in TOLS:
+        image = pysas.ffbp(echoes, grid, tol, backend="cpp")
+        assert wrong(image, echoes, grid) <= tol and image.report.factorised_share == (tol > 2e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "height", "taper"), [("cone", 5.6, 0.1), ("fan", 4.5, 0.04), ("fan", 3.0, 0.3), ("cone", 12.0, 0.5)]
+)
+def test_tapers_that_rays_cross(shape, height, taper):
+    """Cones and upright axes tell elevations apart: along a ray their weights change with range."""
+    rng = np.random.default_rng(9)
+    channels, reach = 64, 50.0
+    tx = np.array([[0.0, 0.0, height]])
+    rx = tx[:, None] + 1e-3 * (np.arange(channels) - channels / 2)[:, None] * np.array([1.0, 0.0, 0.0])
+    data = np.fft.fft(rng.standard_normal((1, channels, 2 * 2000)).view(complex))
+    data[..., np.abs(np.fft.fftfreq(2000)) > BAND / 2 / FS] = 0
+    elevation = np.arctan2(height, reach)
+    half = elevation / (1 - taper)  # the image lies where the taper begins
+    axis = (0.0, 0.0, 1.0) if shape == "fan" else None
+    beam = pysas.Beam((0.0, 1.0, 0.0), 0.1, half, shape, taper, axis)
+    echoes = pysas.Echoes(
+        np.fft.ifft(data).astype(np.complex64), fs=FS, fc=FC, tx=tx, rx=rx, c=C, t0=0.04, bandwidth=BAND, beam=beam
+    )
+    grid = pysas.Grid.plane(np.arange(-1, 1, 0.1), reach + np.arange(-2, 2, 0.02))
+    for tol in TOLS:
+        assert wrong(pysas.ffbp(echoes, grid, tol, backend="cpp"), echoes, grid) <= tol
+
+
+@pytest.mark.parametrize("share", [1e-2, 3e-5, 1e-5])
+def test_images_at_a_tapers_outer_edge(share):
+    """What weights are wrong by is relative to what pixels have of them."""
+    echoes = array(np.random.default_rng(10), 1, 8, 0.2, 0.5)
+    angle = 0.2 * (1 - 0.5 * share)
+    slant = np.arange(23.0, 29.0, 0.02)
+    place = np.sqrt(slant**2 - 9.0)  # at height 3: sines off the plane across x are those of x over slant range
+    x = slant * np.sin(angle)
+    grid = pysas.Grid.points(np.stack([x + echoes.tx[0, 0], np.sqrt(place**2 - x**2), np.zeros(x.size)], axis=-1)[None])
+    for tol in TOLS[:3]:
+        assert wrong(pysas.backproject(echoes, grid, tol, backend="cpp"), echoes, grid) <= tol

@@ -352,7 +352,8 @@ def test_a_beam_that_reaches_every_pixel_is_none(library):
         options.method, options.threads = FFBP, 1
 
     shares = []
-    assert not np.array_equal(image(library, echoes, grid, 1e-3, change=behind, shares=shares), plain) and shares == [0]
+    found = image(library, echoes, grid, 1e-3, change=behind, shares=shares)
+    assert not np.array_equal(found, plain) and 0 < shares[0] < share  # groups without that ping have trees
 
 
 def test_ffbp_on_every_isa_and_thread_count(library):

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from numba import njit
 
-from pysas import _leaving, _pool
+from pysas import _pool
+from pysas._pool import leaving
 
 SETUP = """
-    import sys, threading, time, numpy as np, pysas, pysas._leaving, pysas._pool
+    import sys, threading, time, numpy as np, pysas, pysas._pool.leaving
     tx = np.zeros((300, 3)); tx[:, 0] = np.arange(300) * 0.02
     data = np.ones((300, 1, 1500), np.complex64)
     echoes = pysas.Echoes(data, fs=40e3, fc=1e5, tx=tx, rx=tx[:, None], t0=0.03, bandwidth=30e3)
@@ -78,8 +79,8 @@ def test_what_is_called_at_exit_may_still_image():
     code = """
         import atexit
         atexit.register(lambda: print(pysas.backproject(echoes, tiny, threads=2).report.terms > 0))
-        pysas._leaving.atexit.unregister(pysas._leaving._leave)
-        atexit.register(pysas._leaving._leave)  # last registered, first called
+        pysas._pool.leaving.atexit.unregister(pysas._pool.leaving._leave)
+        atexit.register(pysas._pool.leaving._leave)  # last registered, first called
     """
     result = subprocess.run(python(code), capture_output=True, text=True, timeout=60, check=False)
     assert (result.returncode, result.stdout, result.stderr) == (0, "True\n", "")
@@ -226,11 +227,11 @@ def test_a_forks_child_has_a_lock_of_its_own():
 
 def test_threads_that_are_away_are_waited_for(monkeypatch):
     calls = []
-    part = _leaving.Part(lambda: calls.append("stop"), lambda: calls.count("away") < 3 and not calls.append("away"))
+    part = leaving.Part(lambda: calls.append("stop"), lambda: calls.count("away") < 3 and not calls.append("away"))
     part.keep = lambda: calls.append("keep")
-    monkeypatch.setattr(_leaving, "_parts", [part])
-    _leaving._leave()
+    monkeypatch.setattr(leaving, "_parts", [part])
+    leaving._leave()
     assert calls[0] == "stop" and calls[-1] == "keep" and calls.count("away") == 3
     part.away = lambda: 1
-    _leaving._forked()  # the parent's threads are not the child's
+    leaving._forked()  # the parent's threads are not the child's
     assert not part.out()

@@ -61,9 +61,9 @@ inline void with_degree(int degree, const Call& call) {
 }
 
 // A term counts up to this many samples beyond its record's ends, where the trace is read at the end, and up to this
-// angle beyond the edge of a beam without taper: far more than places in float64 are rounded by, so that pixels put on
-// an edge count whatever the rounding, and far less than anything physical. Said in pysas.h and pysas.reference.exact
-// too.
+// angle beyond the edge of a beam without taper or the end of a fan's side: far more than places in float64 are rounded
+// by, so that pixels put on an edge count whatever the rounding, and far less than anything physical. Said in pysas.h
+// and pysas.reference.exact too.
 constexpr double edge_samples = 1e-4, edge_angle = 1e-7;
 // Nearer than this to a record's ends, in samples, every pixel's own delay decides: places in float reach beyond
 // tables.

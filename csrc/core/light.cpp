@@ -109,7 +109,8 @@ Lit lit(const Light& light, const Trace& trace, const double (&away)[3], double 
     const Parts p = parts(light.shape, trace, away);
     const double edge = p.along * light.sine_half - p.across * light.cosine_half;
     const bool flat = light.shape == fan;
-    if (edge < -radius || (flat && p.before < -radius)) return Lit::nowhere;
+    if (edge < -radius) return Lit::nowhere;
+    if (flat && p.before < -radius) return Lit::behind;
     if (flat && p.before <= radius) return Lit::cut;
     if (p.along * light.sine_full - p.across * light.cosine_full > radius) return Lit::alike;
     return light.terms > 0 ? Lit::fading : Lit::cut;

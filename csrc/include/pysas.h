@@ -11,10 +11,10 @@
  * time and s the band-limited signal that the range-compressed base-band samples stand for; a term counts where 0 <=
  * (tau - t0) fs <= n_sample - 1 and, with a beam, where the angle off its middle is at most the half-angle; rounding
  * does not decide: 1e-4 samples beyond a record's end (the trace is read at the end) and 1e-7 rad beyond the half-angle
- * of a beam without taper still count. It is wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels,
- * where level^2 is the sum of the terms' squares. Samples that no pixel reads may be far brighter than those that
- * pixels do: they are looked at when data arrive, and where they are so bright that no sum in double keeps tol, the
- * call says so.
+ * of a beam without taper, or beyond the end of a fan's side, still count; so does a pixel on a transmitter. It is
+ * wrong by at most tol max(|image|, |level|) in the 2-norm over the pixels, where level^2 is the sum of the terms'
+ * squares. Samples that no pixel reads may be far brighter than those that pixels do: they are looked at when data
+ * arrive, and where they are so bright that no sum in double keeps tol, the call says so.
  */
 #ifndef PYSAS_H
 #define PYSAS_H

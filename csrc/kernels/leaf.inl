@@ -239,7 +239,7 @@ struct Fading {
                 const D::vec away[3] = {D::sub(D::load(x[j] + r), D::set(trace.tx[0])),
                                         D::sub(D::load(y[j] + r), D::set(trace.tx[1])), D::set(z - trace.tx[2])};
                 D::vec counts;
-                D::store(at[j] + r, brightness(trace, light, away, counts));
+                D::store(at[j] + r, brightness(trace, light, away, counts, false));
             }
         }
         levels<V>(at, rows, count, out);

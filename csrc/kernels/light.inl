@@ -20,9 +20,11 @@ inline Reach lit_of(const Trace& g, const Light& light, const double centre[3], 
     return along * light.sine_full - across * light.cosine_full > reach ? Reach::inside : Reach::fading;
 }
 
-// What terms weigh at places d from the transmitter, and 1 in `counts` where they count. Angles are compared by sines,
+// What terms weigh at places d from the transmitter, and 1 in `counts` where they count. Without its `side` a fan's
+// weights go on smoothly behind boresight, as nodes of sub-images need them. Angles are compared by sines,
 // sin(angle - limit) <= 0, which keep the smallest apart; cosines do not.
-inline Double::vec brightness(const Trace& g, const Light& light, const Double::vec (&d)[3], Double::vec& counts) {
+inline Double::vec brightness(const Trace& g, const Light& light, const Double::vec (&d)[3], Double::vec& counts,
+                              bool side = true) {
     using V = Double;
     using vec = V::vec;
     const bool flat = light.shape == fan;
@@ -35,7 +37,7 @@ inline Double::vec brightness(const Trace& g, const Light& light, const Double::
     const vec rest = V::sqrt(V::fma(cx, cx, V::fma(cy, cy, V::mul(cz, cz))));
     const vec across = flat ? V::abs(known) : rest, along = flat ? rest : known;
     counts = V::one_where_le(V::mul(across, V::set(light.cosine_half)), V::mul(along, V::set(light.sine_half)));
-    if (flat) {
+    if (flat && side) {
         const vec away = V::sqrt(V::fma(d[0], d[0], V::fma(d[1], d[1], V::mul(d[2], d[2]))));
         counts = V::mul(counts, V::one_where_le(V::mul(away, V::set(-edge_angle)), dot(g.boresight)));
     }

@@ -39,6 +39,7 @@ double tree_error(const TapDesign& taps, std::size_t stages) {
 // goes from there to 1 at all they hold; of what lies beyond that twice as much as there is.
 double held_across(double across, double rate, const Fading& fading) {
     if (!(fading.width > 0)) return rate * across;
+    if (!(across < 1e12)) return HUGE_VAL;
     constexpr int steps = 24;
     const double band = across / (2 * pi), jump = pi * pi / (2 * fading.width * fading.width);
     const double weight = 2 * (fading.full + 0.375 * fading.width);
@@ -53,7 +54,7 @@ double held_across(double across, double rate, const Fading& fading) {
         return std::sqrt(8 * sum / weight) * jump / std::pow(2 * pi, 3);
     };
     double low = rate * band, high = 2 * low + rate / fading.width;
-    while (left(high) > fading.error) high *= 2;
+    while (left(high) > fading.error && high < 1e12) high *= 2;
     while (high > low * (1 + 1e-3)) {
         const double middle = (low + high) / 2;
         (left(middle) <= fading.error ? high : low) = middle;

@@ -67,6 +67,7 @@ void check_beam(const pysas_survey& survey) {
     if (!survey.boresight) return;
     const bool flat = survey.beam_shape == PYSAS_BEAM_FAN;
     if (!flat && survey.beam_shape != PYSAS_BEAM_CONE) refuse("beam_shape");
+    if (flat) finite(survey.beam_axis, 3 * survey.n_ping, "beam_axis");
     const double widest = flat ? pi / 2 : pi;
     if (!(survey.beam_half_angle > 0 && survey.beam_half_angle <= widest * (1 + 1e-9)))
         refuse("beam_half_angle: not in (0, pi], of a fan (0, pi/2]");
@@ -105,7 +106,6 @@ void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     finite(survey.weights, traces, "weights");
     finite(survey.ping_t0, survey.n_ping, "ping_t0");
     finite(survey.boresight, 3 * survey.n_ping, "boresight");
-    finite(survey.beam_axis, 3 * survey.n_ping, "beam_axis");
     finite(&survey.t0, 1, "t0");
     for (const double value : {survey.fs, survey.fc, survey.c}) {
         if (!(value > 1e-9 && value <= 1e15)) refuse("survey: fs, fc and c must be positive and finite");

@@ -105,14 +105,12 @@ class Beams {
   public:
     Beams(const Scene& scene, const Numbers& traces) : light_(scene.light) {
         if (light_.shape == no_beam) return;
-        Numbers pings;
-        for (const std::int64_t i : traces) pings.push_back(i / scene.survey.channels);
-        for (std::size_t k = 0; k < traces.size(); ++k) {  // traces of a ping stand side by side or nearly
-            if (k > 0 && std::find(pings.begin(), pings.begin() + static_cast<std::ptrdiff_t>(k), pings[k]) !=
-                             pings.begin() + static_cast<std::ptrdiff_t>(k))
-                continue;
-            traces_.push_back(&scene.survey.traces[static_cast<std::size_t>(traces[k])]);
-        }
+        Numbers some = traces;  // one of each ping
+        const auto ping = [&](std::int64_t i) { return i / scene.survey.channels; };
+        std::sort(some.begin(), some.end());
+        some.erase(std::unique(some.begin(), some.end(), [&](auto a, auto b) { return ping(a) == ping(b); }),
+                   some.end());
+        for (const std::int64_t i : some) traces_.push_back(&scene.survey.traces[static_cast<std::size_t>(i)]);
     }
 
     struct State {
@@ -120,17 +118,18 @@ class Beams {
     };
     State operator()(const Point& middle, double radius) const {
         State state{traces_.empty(), true};
-        bool dark = false, alike = false;
+        bool dark = false, behind = false, alike = false;
         for (const Trace* trace : traces_) {
             const Point away = middle - point(trace->tx);
             const Lit found = lit(light_, *trace, {away.x, away.y, away.z}, radius);
-            state.lit = state.lit || found != Lit::nowhere;
+            state.lit = state.lit || (found != Lit::nowhere && found != Lit::behind);
             state.whole = state.whole && found != Lit::cut;
             dark = dark || found == Lit::nowhere;
+            behind = behind || found == Lit::behind;
             alike = alike || found == Lit::alike;
         }
-        // nodes hold weights that fade, or none at all
-        if (light_.terms == 0 && dark && alike) state.whole = false;
+        // nodes hold weights that fade, or none at all, and go on behind a fan
+        if (state.lit && (behind || (light_.terms == 0 && dark && alike))) state.whole = false;
         return state;
     }
 

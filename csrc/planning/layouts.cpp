@@ -255,10 +255,13 @@ double clear_of(const Scene& scene, double height, double reach, double rate, do
 
 // Slant ranges from which a beam's weights keep to `error` along the rays of all levels, and of leaves of `extent` m.
 //
-// Along a ray the angle off the beam changes by what the ray's height bends it, and as fast as it is off the
-// transmitter: by a(r) a metre. The jumps of the weight's second derivative leave (see taper_band) a^2/(16 pi width^2
-// k^2) beyond the band that nodes have to spare, +-k cycles a metre; and leaves read their weights off quartics through
-// five places along 64 nodes, which miss 0.0153 of the jump times the square of half their length times a.
+// Along a ray of a plane `height` below the direction turns by height/(r ground) a metre, and by off/r^2 for a
+// transmitter that lies `off` the centre. A cone's angle changes by as much at most; a fan's, off the plane across a
+// level axis, by tan(angle) height^2/(r ground^2) alone, to which an axis' upright part z adds: its sine is a sum of
+// the level part's, which goes with ground/r, and z height/r. The jumps of the weight's second derivative leave (see
+// held_across) a^2/(16 pi width^2 k^2) beyond the band that nodes have to spare, +-k cycles a metre; and leaves read
+// their weights off quartics through five places along 64 nodes, which miss 0.0153 of the jump times the square of half
+// their length times a.
 struct Faded {
     double all, leaf;
 };
@@ -270,11 +273,15 @@ Faded faded_from(const Scene& scene, const Layout& layout, double height, double
     const double half = 31.5 * model.c / (4 * scene.survey.band * model.fs * layout.taps.rate);
     const double spare = (layout.spare - 1) * band, jump = pi * pi / (2 * width * width);
     const auto levels = static_cast<double>(layout.fans.size() + 1);
+    double upright = 0;
+    for (const Trace& trace : scene.survey.traces) upright = std::max(upright, std::abs(trace.axis[2]));
     const auto from = [&](double off, double a2) {  // of the largest a^2 that is allowed
         double low = std::max(height, 1e-3) * (1 + 1e-6), high = 1e9;
         const auto holds = [&](double r) {
-            const double ground2 = r * r - height * height;
-            const double a = scene.light.sine_half * height * height / (r * ground2) + off / (r * r);
+            const double ground2 = r * r - height * height, turn = height / (r * std::sqrt(ground2));
+            const double level = (scene.light.sine_half + upright * height / r) * height * height / (r * ground2);
+            const double flat = (level + upright * height / (r * r)) / std::max(scene.light.cosine_half, 1e-12);
+            const double a = (scene.light.shape == fan ? std::min(turn, flat) : turn) + off / (r * r);
             return a * a <= a2;
         };
         if (holds(low)) return low;

@@ -145,10 +145,11 @@ class Planner {
         out.relief = flat ? 0 : share_relief * tol;
         const bool fades = s_.light.terms > 0;
         const double fading = fades ? share_fading * tol : 0, ramp = fades ? share_ramp * tol : 0;
+        const double bright = s_.brightness();  // which what weights are wrong by is relative to
         const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief - fading - ramp);
         if (kinds.empty()) return {{}, "no interpolation keeps tol", {}};
         const double direct = sum_seconds(s_, plain, costs_);
-        const auto found = cheapest(s_, kinds, costs_, spare, fading, direct);
+        const auto found = cheapest(s_, kinds, costs_, spare, fading * bright, direct);
         if (!found) return {{}, "pixels too near the track", {}};
         if (found->second > most) return {{}, longer, "at least " + time(found->second)};
         out.layout = clear(found->first, out);
@@ -203,7 +204,7 @@ class Planner {
     Layout clear(const Layout& layout, const Candidate& best) const {
         const double tol = wish_.budget;
         return cleared(s_, layout, best.height, share_phase * best.share, share_positions * tol / most_merges,
-                       share_ends * tol, share_ramp * tol);
+                       share_ends * tol, share_ramp * tol * s_.brightness());
     }
 
     // About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not

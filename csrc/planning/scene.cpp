@@ -247,6 +247,11 @@ double Scene::lit() const {
     return lit_;
 }
 
+double Scene::brightness() const {
+    look();
+    return brightness_;
+}
+
 void Scene::look() const {
     if (lit_ >= 0) return;
     const Model& model = survey.model;
@@ -254,6 +259,7 @@ void Scene::look() const {
     const std::vector<Point> places = places_of(pixels, some);
     // a stride might meet one channel alone
     const Numbers picked = some_of(traces(), sampled_traces);
+    double power = 0;
     for (std::size_t k = 0; k < some.size(); ++k) {
         const Point pixel = places[k];
         const auto line = static_cast<std::size_t>(some[k] / pixels.width);
@@ -265,10 +271,16 @@ void Scene::look() const {
             const double place = ((out + home) / model.c - trace.t0) * model.fs;
             if (!(place >= -edge_samples && place <= model.last + edge_samples)) continue;
             if (!lights(light, trace, {there.x, there.y, there.z})) continue;
+            if (light.terms > 0) {
+                const double weight = pysas::brightness(model.beam, trace, {there.x, there.y, there.z});
+                power += weight * weight;
+            }
             distances_.push_back(std::min(out, home));
             slopes_.push_back(std::abs(dot(there, along) / out + dot(back, along) / home) / 2);
         }
     }
+    if (light.terms > 0 && !distances_.empty())
+        brightness_ = std::max(std::sqrt(power / static_cast<double>(distances_.size())), 1e-12);
     std::sort(distances_.begin(), distances_.end());
     std::sort(slopes_.begin(), slopes_.end());
     const auto pairs = static_cast<double>(std::max<std::size_t>(some.size() * picked.size(), 1));

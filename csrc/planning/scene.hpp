@@ -91,6 +91,8 @@ class Scene {
     double flatter(double slope) const;
     // About the share of (trace, pixel) pairs within record and beam: the terms.
     double lit() const;
+    // Root of their weights' mean square for the beam: what errors of these are relative to.
+    double brightness() const;
     // About what passes until an echo arrives where receivers move, s, else 0.
     double reception() const { return kind == Kind::moving ? (nearest + farthest) / survey.model.c : 0.0; }
 
@@ -99,7 +101,7 @@ class Scene {
 
     // of some of the terms, sorted
     mutable std::vector<double> distances_, slopes_;
-    mutable double lit_ = -1;
+    mutable double lit_ = -1, brightness_ = 1;
 };
 
 }  // namespace pysas

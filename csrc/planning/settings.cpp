@@ -180,7 +180,8 @@ std::shared_ptr<const Filter> cheapest_filter(const Settings& s, const Scene& sc
 
 // Whether the powers of a fan that fades keep to their share of the budget.
 bool fades(const Scene& scene, double budget, bool narrow) {
-    return narrow && scene.light.shape == fan && scene.light.terms > 0 && scene.faded <= share_phase * budget;
+    return narrow && scene.light.shape == fan && scene.light.terms > 0 &&
+           scene.faded <= share_phase * budget * scene.brightness();
 }
 
 // All but how samples are read.
@@ -192,7 +193,7 @@ Settings arithmetic_of(const Scene& scene, double budget, const Costs& costs, do
         s.block = delay.block, s.near = delay.near;
         if (s.block > 0) s.errors = {{"rounding", delay.rounding}, {"delay polynomial", share_phase * budget}};
         s.quick = s.block > 0 && fades(scene, budget, s.narrow);
-        if (s.quick) s.errors.emplace_back("beam", scene.faded + share_phase * budget);
+        if (s.quick) s.errors.emplace_back("beam", scene.faded / scene.brightness() + share_phase * budget);
     }
     if (s.narrow && s.block == 0) s.errors.emplace_back("rounding", 0x1p-22);
     const double least = s.narrow ? 0x1p-23 : 1e-14;
@@ -278,7 +279,8 @@ Delay choose_delay(const Scene& scene, double budget, const Costs& costs, bool n
             // the sine of a fan's angle has Taylor coefficients of at most 2/r^n, by Legendre's generating function too
             if (fades(scene, budget, narrow)) {
                 const double steep = pi / 2 * scene.light.per * 2 / std::pow(2, nodes - 1);
-                near = std::max(near, half * std::pow(steep / (share_phase * budget), 1.0 / nodes));
+                near =
+                    std::max(near, half * std::pow(steep / (share_phase * budget * scene.brightness()), 1.0 / nodes));
             }
         }
         const double cost = whole ? near : term_ns(scene, costs, narrow, count, near, 3, 2.0);

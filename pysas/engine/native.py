@@ -7,7 +7,8 @@ import importlib
 import os
 from typing import Any
 
-from pysas import _checks, _leaving
+from pysas import _checks
+from pysas._pool import leaving
 
 
 def extension() -> Any | None:
@@ -27,7 +28,7 @@ def core() -> Any:
 
 @functools.cache
 def _watch(module: Any) -> None:
-    _leaving.join(_leaving.Part(module.stop_others, module.away, module.keep_others))
+    leaving.join(leaving.Part(module.stop_others, module.away, module.keep_others))
 
 
 def isa_name() -> str:

@@ -24,7 +24,8 @@ class Beam:
 
     alpha is the angle between the direction from transmitter to pixel and, for a fan, the plane across `axis`; for a cone,
     boresight. A term weighs 1 up to (1 - taper) half_angle and cos^2(pi/2 (alpha - (1 - taper) half_angle)/(taper half_angle))
-    beyond, down to 0 at half_angle. A fan holds what lies on boresight's side alone, whatever its depression.
+    beyond, down to 0 at half_angle. A fan holds what lies on boresight's side alone, up to 1e-7 rad beyond its end, whatever
+    its depression.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pysas import _leaving
+from pysas._pool import leaving
 
 _POLL = 0.1
 _local = threading.local()  # run: the Run that this thread works for
@@ -136,13 +136,13 @@ class _Out:
             done.wait()
 
     def forked(self) -> None:
-        """In a fork's child: threads that held the lock or compiled are the parent's; `_leaving` counts them as lost."""
+        """In a fork's child: threads that held the lock or compiled are the parent's; `leaving` counts them as lost."""
         self.lock = threading.Lock()
         self.compiling.clear()
 
 
 _out = _Out()
-_leaving.join(_leaving.Part(_out.ask, lambda: _out.number))
+leaving.join(leaving.Part(_out.ask, lambda: _out.number))
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_out.settle, after_in_child=_out.forked)
 
