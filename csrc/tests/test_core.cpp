@@ -86,8 +86,8 @@ struct Scene {
                 }
             }
         }
-        survey = {sizeof survey, pings,     channels,  samples, fs,      fc,      fs / 2, c, t0,
-                  nullptr,       tx.data(), rx.data(), nullptr, nullptr, nullptr, 0};
+        survey = {sizeof survey, pings,     channels, samples, fs,      fc, fs / 2, c, t0,     nullptr,
+                  tx.data(),     rx.data(), nullptr,  nullptr, nullptr, 0,  0,      0, nullptr};
         if (moving) survey.velocity = velocity.data();
         if (moving) survey.weights = weights.data();
         grid.struct_size = sizeof grid;
@@ -211,7 +211,7 @@ void a_constant_goes_through_the_tree() {
     std::copy_n(tree.cosine, 7, terms.cosine);
     terms.traces = sensors.data();
     terms.n_trace = traces;
-    terms.model = {c, wave * c / 2, 20e3, 1.0, 900, -1.0, 0.0, 0.0};
+    terms.model = {c, wave * c / 2, 20e3, 1.0, 900, {pysas::no_beam, 0.0, 0.0}, 0.0, 0.0};
     terms.nodes = tree.nodes;
     for (const std::string& set : levels()) {
         const Kernels& kernels = kernels_for(set);
@@ -352,9 +352,10 @@ void a_forest_holds_every_trace_and_serves_every_read() {
     for (int ping = 0; ping < 60; ++ping) {  // a bent track with a gap, two receivers behind the transmitter
         const double x = 0.1 * ping + (ping > 40 ? 1.5 : 0) - 3.7, y = 0.3 * std::sin(0.2 * ping);
         for (int channel = 0; channel < 2; ++channel)
-            survey.traces.push_back({{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, 0, 0, 0});
+            survey.traces.push_back(
+                {{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, {}, 0, 0, 0});
     }
-    survey.model = {1500, 100e3, 40e3, 1, 2999, -1, 0, 0};
+    survey.model = {1500, 100e3, 40e3, 1, 2999, {pysas::no_beam, 0, 0}, 0, 0};
     survey.band = 0.375;
     survey.single = true;
     survey.channels = 2;
@@ -376,12 +377,12 @@ void a_forest_holds_every_trace_and_serves_every_read() {
     CHECK(image.size() == 1 && image[0].flat && image[0].pixels.size() == 10);
     CHECK(image[0].pixels[0] == 0 && image[0].pixels[9] == 2 * 36);
     const Kinds kinds{{{2}, design_taps(6, 1.5, 8)}};
-    const auto found = cheapest(scene, kinds, costs_of("baseline"), 1.05, 1);
+    const auto found = cheapest(scene, kinds, costs_of("baseline"), 1.05, 0, 1);
     CHECK(found && found->first.length > 0 && found->second > 0);
     if (!found) return;
-    const Layout layout = cleared(scene, found->first, 5.1, 1e-5, 1e-5, 1e-3);
+    const Layout layout = cleared(scene, found->first, 5.1, 1e-5, 1e-5, 1e-3, 0);
     CHECK(layout.clear > 5 && layout.clear < 20);
-    CHECK(cleared(scene, layout, 5.1, 1e-7, 1e-7, 1e-3).clear > layout.clear);
+    CHECK(cleared(scene, layout, 5.1, 1e-7, 1e-7, 1e-3, 0).clear > layout.clear);
     const Raster raster{
         scene.pixels.first.data(), scene.pixels.step.data(), nullptr, scene.pixels.mask.data(), height, width, 64};
     const pysas::Tick none;

@@ -67,7 +67,7 @@ constexpr std::int64_t pings = 24, samples = 400, height = 5, width = 70;
 
 Recipe recipe() {
     Recipe out{};
-    out.model = {1500, 30e3, 20e3, 0, double(samples - 1), -1, 0, 0};
+    out.model = {1500, 30e3, 20e3, 0, double(samples - 1), {pysas::no_beam, 0, 0}, 0, 0};
     out.kind = Kind::monostatic;
     out.narrow = true;
     out.channels = 1;
