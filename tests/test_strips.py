@@ -68,6 +68,8 @@ def test_each_image_keeps_tol(backwards, shape):
     for image in images[1:-1:3]:
         assert image.grid.shape == (Y.size, 40) and image.report.terms > 0
         assert wrong(image, echoes, 1e-3) <= 1
+    terms = sum(image.report.terms for image in images)
+    assert 0.5 * terms < echoes.n_ping * echoes.n_channel * sum(image.grid.size for image in images)
     # every term lies in one of them: pixels beyond are dark
     for end, side in ((min(first), -1), (max(first) + 2, 1)):
         grid = pysas.Grid.plane(end + side * np.arange(0.0, 1.0, 0.5) + side * 1e-3, Y[::33])

@@ -7,6 +7,7 @@ footprint, not as the track.
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -160,7 +161,7 @@ class _Stream:
                 one = self.pending[number] = _Pending(np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype))
             first, last = max(low, begin), min(high, begin + strip.columns)
             one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
-            one.reports.append(image.report)
+            one.reports.append(_share(image.report, (last - first) / (high - low)))
 
     def _left(self, low: int, high: int) -> tuple[int, int]:
         """Of columns low to high - 1 those of images that were not given away."""
@@ -215,6 +216,14 @@ class _Stream:
         if self.echoes is None:
             raise _checks.InternalError("an image before any ping")
         return Image(one.data, strip.grid(number * strip.columns, strip.columns), report, self.echoes.fc, self.echoes.c)
+
+
+def _share(report: Report, share: float) -> Report:
+    """What of a block's work is an image's, by their columns."""
+    return dataclasses.replace(
+        report, terms=round(report.terms * share), prepare_seconds=report.prepare_seconds * share,
+        sum_seconds=report.sum_seconds * share,
+    )  # fmt: skip
 
 
 def _blocks(pings: Iterable[Echoes], length: float) -> Iterator[Echoes]:
