@@ -5,6 +5,8 @@
 #include <numeric>
 #include <vector>
 
+#include "core/light.hpp"
+
 namespace pysas {
 namespace {
 
@@ -26,9 +28,9 @@ std::uint64_t mixed(std::uint64_t x) {  // SplitMix64's
 // Room for one point's views, used again from point to point.
 class Circle {
   public:
-    explicit Circle(const Viewers& viewers)
+    Circle(const Viewers& viewers, const Light& light)
         : viewers_(viewers),
-          light_(light_of(viewers.beam)),
+          light_(light),
           angle_(static_cast<std::size_t>(viewers.count)),
           seen_(static_cast<std::size_t>(viewers.count)),
           lit_(static_cast<std::size_t>(viewers.count)),
@@ -200,7 +202,7 @@ class Circle {
     }
 
     const Viewers& viewers_;
-    Light light_;
+    const Light& light_;
     std::vector<double> angle_;
     std::vector<std::uint8_t> seen_, lit_, open_;
     std::vector<std::size_t> order_, group_, size_;
@@ -213,9 +215,10 @@ class Circle {
 template <typename Real>
 void arcs(const Viewers& viewers, const double* points, std::int64_t n, const std::int64_t* order, std::int64_t kept,
           Real* out, std::uint64_t* pattern, int threads, const Tick& tick) {
+    const Light light = light_of(viewers.beam);
     run((n + points_at_once - 1) / points_at_once, threads,
         [&](std::int64_t task) {
-            Circle circle(viewers);
+            Circle circle(viewers, light);
             for (std::int64_t i = task * points_at_once; i < std::min(n, (task + 1) * points_at_once); ++i) {
                 const std::vector<double>& value = circle.at(points + 3 * i);
                 for (std::int64_t k = 0; k < kept; ++k)

@@ -5,7 +5,6 @@
 #include <cstdint>
 
 #include "core/kernels.hpp"
-#include "core/light.hpp"
 #include "core/threads.hpp"
 
 namespace pysas {

@@ -117,8 +117,8 @@ Lit lit(const Light& light, const Trace& trace, const double (&away)[3], double 
 }
 
 double brightness(const Beam& beam, const Trace& trace, const double (&away)[3]) {
-    const Parts p = parts(beam.shape, trace, away);
     if (beam.shape == no_beam || beam.half_angle <= beam.full_angle) return 1;
+    const Parts p = parts(beam.shape, trace, away);
     return weight(beam, std::atan2(p.across, p.along) - beam.full_angle);
 }
 

@@ -1,6 +1,16 @@
 // What of a place a beam lights, and whether pixels lie within a trace's window and beam. Included inside a namespace
 // of one instruction set, after delay.inl.
 
+// How what reaches `reach` about a place is lit, by how deep that place lies within the edge, where all is lit alike,
+// and before the transmitter.
+inline Reach by_depths(double edge, double full, double before, double reach) {
+    if (edge < -reach || before < -reach) return Reach::outside;
+    if (edge <= reach || before <= reach) return Reach::across;
+    return full > reach ? Reach::inside : Reach::fading;
+}
+
+constexpr double no_side = 1e300;  // before a transmitter whose beam has no side
+
 // Whether a sphere about `centre` lies where a beam lights nothing, or where it lights all alike, within the edge where
 // its light fades, or across that; `there`: the centre's distance. Cones and what fans leave out are convex (beyond a
 // right angle what cones leave out is), so that distances to their surfaces are those to a plane at least.
@@ -14,10 +24,8 @@ inline Reach lit_of(const Trace& g, const Light& light, const double centre[3], 
     const double across = flat ? ::fabs(aside) : rest, along = flat ? rest : before;
     // `rest` may lose half of its digits; rounding must never decide what the exact path should
     const double reach = radius + 1e-7 * there;
-    const double depth = along * light.sine_half - across * light.cosine_half;
-    if (depth < -reach || (flat && before < -reach)) return Reach::outside;
-    if (depth <= reach || (flat && before <= reach)) return Reach::across;
-    return along * light.sine_full - across * light.cosine_full > reach ? Reach::inside : Reach::fading;
+    return by_depths(along * light.sine_half - across * light.cosine_half,
+                     along * light.sine_full - across * light.cosine_full, flat ? before : no_side, reach);
 }
 
 // What terms weigh at places d from the transmitter, and 1 in `counts` where they count. Without its `side` a fan's
@@ -88,16 +96,12 @@ struct Depths {
             };
             V::store(edge + r, depth(light.sine_half, light.cosine_half));
             V::store(full + r, depth(light.sine_full, light.cosine_full));
-            V::store(before + r, flat ? look : V::set(1e300));
+            V::store(before + r, flat ? look : V::set(no_side));
             V::store(reach + r, V::fma(V::set(1e-7), V::root(there2), V::load(lines.half + r)));
         }
     }
 
-    Reach operator[](int r) const {
-        if (edge[r] < -reach[r] || before[r] < -reach[r]) return Reach::outside;
-        if (edge[r] <= reach[r] || before[r] <= reach[r]) return Reach::across;
-        return full[r] > reach[r] ? Reach::inside : Reach::fading;
-    }
+    Reach operator[](int r) const { return by_depths(edge[r], full[r], before[r], reach[r]); }
 };
 
 // A piece of a line of a tile: the sphere about its pixels, `half` of them either side of number `middle` of `count`.

@@ -8,7 +8,6 @@ template <class V, int N>
 struct Shades {
     using real = typename V::real;
     Shade of[tile_rows];
-    bool fading;                                                        // whether any line is
     alignas(64) real middle[tile_rows], coefficient[N - 1][tile_rows];  // of `per` times the sine, in x^1, ...
     alignas(64) real each[tile_rows][block];
 };

@@ -21,46 +21,27 @@ constexpr std::int64_t sampled = 24, tracked = 64, paced = 256;  // rows and col
 
 using Places = std::vector<Point>;  // seen from above
 
-// Mean phase centres of the traces heard of each ping.
-Places track_of(const Scene& scene) {
-    Places out;
-    const double delay = scene.reception();
-    const std::int64_t channels = scene.survey.channels;
-    for (std::int64_t first = 0; first < scene.traces(); first += channels) {
-        Point sum;
-        int count = 0;
-        for (std::int64_t i = first; i < first + channels; ++i) {
-            if (!scene.heard[static_cast<std::size_t>(i)]) continue;
-            const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
-            sum = sum + 0.5 * (point(trace.tx) + point(trace.rx) + delay * point(trace.velocity));
-            ++count;
-        }
-        if (count > 0) out.push_back({sum.x / count, sum.y / count, 0});
-    }
-    return out;
-}
+// Of each ping of which traces are heard: their mean phase centre, and the first of them.
+struct Track {
+    Places at;
+    std::vector<const Trace*> trace;
 
-// A ping in the middle of the track: its place, and a trace of it.
-struct Middle {
-    Point centre;
-    const Trace* trace;
+    explicit Track(const Scene& scene) {
+        const double delay = scene.reception();
+        const std::int64_t channels = scene.survey.channels;
+        for (std::int64_t first = 0; first < scene.traces(); first += channels) {
+            Point sum;
+            int count = 0;
+            for (std::int64_t i = first; i < first + channels; ++i) {
+                if (!scene.heard[static_cast<std::size_t>(i)]) continue;
+                const Trace& one = scene.survey.traces[static_cast<std::size_t>(i)];
+                if (count++ == 0) trace.push_back(&one);
+                sum = sum + 0.5 * (point(one.tx) + point(one.rx) + delay * point(one.velocity));
+            }
+            if (count > 0) at.push_back({sum.x / count, sum.y / count, 0});
+        }
+    }
 };
-
-Middle middle_of(const Scene& scene, const Places& track) {
-    std::size_t left = track.size() / 2;
-    for (std::size_t i = 0; i < scene.heard.size(); ++i) {
-        const bool last = (i + 1) % static_cast<std::size_t>(scene.survey.channels) == 0;
-        const auto first = i - i % static_cast<std::size_t>(scene.survey.channels);
-        if (!last || std::find(&scene.heard[first], &scene.heard[first] + scene.survey.channels, 1) ==
-                         &scene.heard[first] + scene.survey.channels)
-            continue;
-        if (left-- == 0) {
-            const auto found = std::find(&scene.heard[first], &scene.heard[first] + scene.survey.channels, 1);
-            return {track[track.size() / 2], &scene.survey.traces[static_cast<std::size_t>(found - &scene.heard[0])]};
-        }
-    }
-    return {track[track.size() / 2], &scene.survey.traces.front()};
-}
 
 Places every(const Places& places, std::int64_t most) {
     const std::size_t apart = std::max<std::size_t>(1, places.size() / static_cast<std::size_t>(most));
@@ -142,16 +123,17 @@ double extent_of(const Sample& sample, bool down) {
     return sum > 0 ? sum / static_cast<double>(count) : 0.01;
 }
 
-std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Middle& middle, double area, double path,
+std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Track& track, double area, double path,
                               double longest) {
-    const Point& centre = middle.centre;
+    const Point& centre = track.at[track.at.size() / 2];
+    const Trace& middle = *track.trace[track.at.size() / 2];
     const auto pixels = static_cast<double>(sample.at.size());
     double inverse = 0, least = HUGE_VAL, most = -HUGE_VAL, lit = 0;
     std::vector<double> bearings;
     std::complex<double> mean = 0;
     for (const Point& pixel : sample.at) {
-        const Point away = pixel - point(middle.trace->tx);
-        if (!lights(scene.light, *middle.trace, {away.x, away.y, away.z})) continue;
+        const Point away = pixel - point(middle.tx);
+        if (!lights(scene.light, middle, {away.x, away.y, away.z})) continue;
         ++lit;
         const double x = pixel.x - centre.x, y = pixel.y - centre.y, ground = std::hypot(x, y);
         if (!(ground >= near_lengths * std::min(longest, path))) continue;
@@ -179,17 +161,16 @@ std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Mi
 
 // By candidate length, those that serve any pixel.
 std::vector<Sight> sights_of(const Scene& scene) {
-    const Places track = track_of(scene);
-    if (track.empty()) return {};
-    const Middle middle = middle_of(scene, track);
+    const Track track(scene);
+    if (track.at.empty()) return {};
     const Sample sample = sample_of(scene.pixels);
-    const Places paces = every(track, paced);
+    const Places paces = every(track.at, paced);
     double path = 0;
     for (std::size_t i = 1; i < paces.size(); ++i) path += length(paces[i] - paces[i - 1]);
     const double area = extent_of(sample, true) * extent_of(sample, false);  // by its corners' spans
     std::vector<Sight> out;
-    for (const double longest : lengths_of(track, sample)) {
-        if (auto sight = sight_of(scene, sample, middle, area, path, longest)) out.push_back(*sight);
+    for (const double longest : lengths_of(track.at, sample)) {
+        if (auto sight = sight_of(scene, sample, track, area, path, longest)) out.push_back(*sight);
     }
     return out;
 }

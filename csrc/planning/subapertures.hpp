@@ -1,5 +1,5 @@
-// Groups of traces and their polar grids: the geometry of fast factorised back-projection, free of choices. The same as
-// pysas/planning/subapertures.py; see docs/ffbp.md.
+// Groups of traces and their polar grids: the geometry of fast factorised back-projection, free of choices. See
+// docs/ffbp.md.
 #pragma once
 
 #include <cstdint>

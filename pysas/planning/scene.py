@@ -117,9 +117,9 @@ class Scene:
     def read(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
-        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and which of them do.
+        """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and what of each term is left.
 
-        The latter by what their beams leave of them, 0 to 1, and 0 beyond the records' ends.
+        By its beam, 0 to 1; 0 beyond the record's ends.
         """
         index, share = self._look(traces, pixels, pick)
         return index, np.where(self._within(index), share, 0.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pysas.model.beam import Beam
+from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 
 SAME = ("fs", "fc", "c", "bandwidth", "compressed")
@@ -81,6 +81,6 @@ def _joined_beams(beams: list[tuple[Beam, int]]) -> Beam:
                 )
     look = np.concatenate([np.broadcast_to(beam.boresight, (count, 3)) for beam, count in beams])
     axis = None
-    if first.shape == "fan":
+    if first.shape == FAN:
         axis = np.concatenate([np.broadcast_to(beam.axes, (count, 3)) for beam, count in beams])
     return Beam(look, first.length, first.half_angle, first.shape, first.taper, axis)

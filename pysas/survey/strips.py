@@ -11,6 +11,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,8 @@ class _Pending:
     """An image to come, and what was done for it."""
 
     data: ComplexArray
+    fc: float
+    c: float
     reports: list[Report] = field(default_factory=list)
 
 
@@ -83,7 +86,7 @@ class Strip:
         self.slack = _checks.number("slack", slack)
         if self.slack < 0:
             raise ValueError(f"slack={slack!r}: expected at least 0 m")
-        self.options = {"tol": tol, "method": method, "threads": threads, "backend": backend, "nan": nan}
+        self.options: dict[str, Any] = {"tol": tol, "method": method, "threads": threads, "backend": backend, "nan": nan}
 
     def grid(self, first: int, count: int) -> Grid:
         """Pixels of `count` columns from number `first` on."""
@@ -134,14 +137,11 @@ class _Stream:
         self.forward = 0  # 1 or -1 along x, once it is known
         self.given: int | None = None  # the image given away last
         self.reach = (-np.inf, np.inf)  # of the newest ping
-        self.echoes: Echoes | None = None
 
     def add(self, echoes: Echoes) -> None:
         """Image what a block lights."""
         strip = self.strip
-        ends = [reach_along(echoes, ping, strip) for ping in range(echoes.n_ping)]
-        lit = [end for end in ends if end is not None]
-        self.echoes = echoes
+        lit = [end for end in reaches_along(echoes, strip) if end is not None]
         moved = float(echoes.tx[-1, 0] - echoes.tx[0, 0])
         self.forward = self.forward or int(np.sign(moved))
         if not lit:
@@ -153,12 +153,13 @@ class _Stream:
         if low >= high:
             return
         grid = strip.grid(low, high - low)
-        image = plan(echoes, grid, **strip.options)(echoes.data)  # type: ignore[arg-type]
+        image = plan(echoes, grid, **strip.options)(echoes.data)
         for number in range(low // strip.columns, (high - 1) // strip.columns + 1):
             begin = number * strip.columns
             one = self.pending.get(number)
             if one is None:
-                one = self.pending[number] = _Pending(np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype))
+                data = np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype)
+                one = self.pending[number] = _Pending(data, image.fc, image.c)
             first, last = max(low, begin), min(high, begin + strip.columns)
             one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
             one.reports.append(_share(image.report, (last - first) / (high - low)))
@@ -213,9 +214,7 @@ class _Stream:
             sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
             max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
         )  # fmt: skip
-        if self.echoes is None:
-            raise _checks.InternalError("an image before any ping")
-        return Image(one.data, strip.grid(number * strip.columns, strip.columns), report, self.echoes.fc, self.echoes.c)
+        return Image(one.data, strip.grid(number * strip.columns, strip.columns), report, one.fc, one.c)
 
 
 def _share(report: Report, share: float) -> Report:
@@ -250,8 +249,8 @@ def _blocks(pings: Iterable[Echoes], length: float) -> Iterator[Echoes]:
         yield joined(kept)
 
 
-def reach_along(echoes: Echoes, ping: int, strip: Strip) -> tuple[float, float] | None:
-    """Least and largest x that a ping lights within its record, at any row of a strip; None where it lights nothing.
+def reaches_along(echoes: Echoes, strip: Strip) -> list[tuple[float, float] | None]:
+    """Least and largest x that each ping lights within its record, at any row of a strip; None where it lights nothing.
 
     With X = x - tx the condition |X u + e| <= s sqrt(X^2 + h^2) of a fan (u, e: of its axis along x and of the rest; s: the
     sine of its half-angle), or its opposite for a cone, is quadratic in X; so is the record's end.
@@ -260,32 +259,33 @@ def reach_along(echoes: Echoes, ping: int, strip: Strip) -> tuple[float, float] 
     if beam is None:
         raise _checks.InternalError("no beam")
     fan = beam.shape == FAN
-    vectors = beam.axes if fan else beam.boresights
-    to = vectors[min(ping, len(vectors) - 1)]
+    toward = np.broadcast_to(beam.axes if fan else beam.boresights, (echoes.n_ping, 3))
+    limit = np.sin(beam.half_angle) if fan else np.cos(beam.half_angle)
     rows = strip.y[np.unique(np.linspace(0, strip.y.size - 1, min(ROWS, strip.y.size)).astype(int))]
     heights = _heights(strip, echoes, rows)
-    tx = echoes.tx[ping]
-    away = np.array([(y - tx[1], z - tx[2]) for y, levels in zip(rows, heights, strict=True) for z in levels])
-    square = np.sum(away**2, axis=1)
+    ground = np.stack([np.repeat(rows, heights.shape[1]), heights.ravel()], axis=1)  # y and z
     # the farthest sample: half the way and what receivers are off
-    last = echoes.c * (float(echoes.start_time[ping]) + (echoes.n_sample - 1) / echoes.fs)
-    off = float(np.max(np.linalg.norm(echoes.receivers[ping] - tx, axis=-1)))
-    farthest = np.sqrt(np.maximum((last / 2 + off) ** 2 - square, 0.0)) * ((last / 2 + off) ** 2 > square)
-    rest = away @ to[1:]
-    limit = np.sin(beam.half_angle) if fan else np.cos(beam.half_angle)
-    a, b, c = to[0] ** 2 - limit**2, to[0] * rest, rest**2 - limit**2 * square
-    low, high = -farthest, farthest.copy()
-    if (fan and a > 0) or (not fan and limit > 0 and a < 0):  # else only the record ends it
-        root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
-        real = b**2 - a * c >= 0
-        ends = np.sort(np.stack([(-b - root) / a, (-b + root) / a]), axis=0)
-        low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
-        low[~real], high[~real] = 1.0, -1.0
-    lit = (low <= high) & (farthest > 0)
-    if not lit.any():
-        return None
+    last = echoes.c * (echoes.start_time + (echoes.n_sample - 1) / echoes.fs)
+    longest = last / 2 + np.max(np.linalg.norm(echoes.receivers - echoes.tx[:, None], axis=-1), axis=1)
     margin = float(np.max(np.abs(np.diff(strip.y, prepend=strip.y[0])))) + strip.step  # rows between those looked at
-    return float(tx[0] + low[lit].min() - margin), float(tx[0] + high[lit].max() + margin)
+    found: list[tuple[float, float] | None] = []
+    for tx, to, reach in zip(echoes.tx, toward, longest, strict=True):
+        away = ground - tx[1:]
+        square = np.sum(away**2, axis=1)
+        farthest = np.sqrt(np.maximum(reach**2 - square, 0.0)) * (reach**2 > square)
+        rest = away @ to[1:]
+        a, b, c = to[0] ** 2 - limit**2, to[0] * rest, rest**2 - limit**2 * square
+        low, high = -farthest, farthest.copy()
+        if (fan and a > 0) or (not fan and limit > 0 and a < 0):  # else only the record ends it
+            root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+            real = b**2 - a * c >= 0
+            ends = np.sort(np.stack([(-b - root) / a, (-b + root) / a]), axis=0)
+            low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
+            low[~real], high[~real] = 1.0, -1.0
+        lit = (low <= high) & (farthest > 0)
+        ends_lit = (float(tx[0] + low[lit].min() - margin), float(tx[0] + high[lit].max() + margin)) if lit.any() else None
+        found.append(ends_lit)
+    return found
 
 
 def _heights(strip: Strip, echoes: Echoes, rows: FloatArray) -> FloatArray:

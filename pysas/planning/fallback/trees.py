@@ -174,7 +174,8 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
     why = why_not(scene, tol)
     if why:
         return None, why
-    taps, block = taps_for(tol), choose(scene, tol, engine).block
+    taps, choices = taps_for(tol), choose(scene, tol, engine)
+    block = choices.block
     if not block:
         return None, "pixels or nodes too coarse for float32 blocks"
     tiles = Tiles(Raster(grid, scene, settings.even_split(scene.line_length, block)))
@@ -193,7 +194,7 @@ def lay_out(scene: Scene, grid: Grid, tol: float, engine: Parts, whole: bool) ->
     )  # fmt: skip
     if len(pieces) * LEAST > len(order) and not whole:
         return None, LONGER
-    forest = Forest(wider, tiles, block, taps, [], choose(scene, tol, engine))
+    forest = Forest(wider, tiles, block, taps, [], choices)
     for piece in pieces:
         group = _group(forest, order[piece], ends[:, order[piece]], tol)
         if group is None:
