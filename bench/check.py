@@ -20,6 +20,7 @@ import pysas
 from bench.factorised import stripmap
 from bench.plain_loop import plain_loop
 from bench.scenes import random_stripmap
+from bench.survey import NEAR, PIXEL, SWATH, recorded
 
 STORED = Path(__file__).with_name("ratios.json")
 LEAST = 0.6
@@ -63,6 +64,16 @@ def tree():
     return direct / factorised
 
 
+def survey():
+    """Trees over direct sums at 1e-2 on some pings of the survey, plans apart."""
+    echoes = recorded(32, 100, slice(40, 52))
+    x = echoes.tx[:, 0].mean() + PIXEL * np.arange(-160, 160)
+    grid = pysas.Grid.plane(x, np.arange(NEAR, NEAR + SWATH, PIXEL))
+    plans = [pysas.plan(echoes, grid, 1e-2, method, threads=1) for method in ("backprojection", "ffbp")]
+    direct, factorised = seconds([lambda plan=plan: plan(echoes.data) for plan in plans])
+    return direct / factorised
+
+
 def weights():
     """Unweighted over uniform-angle sums, plans apart."""
     echoes, grid = random_stripmap(256, 2048, 512)
@@ -77,6 +88,7 @@ def measured():
         ratios |= {
             "C++ to plain loop": against_plain("cpp"),
             "ffbp to backproject": tree(),
+            "survey: the same": survey(),
             "plain to uniform-angle": weights(),
         }
         ratios["C++ to numba"] = ratios["C++ to plain loop"] / ratios["numba to plain loop"]

@@ -6,7 +6,8 @@ degrees whose outer half fades; 150 m of swath from 10 m on, flat or with 2 m of
 seconds of survey over seconds of imaging, planning and preparation included. Error is relative to the exact sum's norm on
 random pixels; echoes are noise of the band, every pixel and ping alike, so that errors cannot hide beside bright points.
 The strip's images are of 10 m, from a stream of pings that begins and ends where these light the strip: what they light
-beyond it is summed too, and counts as time and not as survey.
+beyond it is summed too, and counts as time and not as survey; of a long strip it is little. Its pings are made a few at a time
+and its images are not kept, so that peak memory is that of the stream; making pings does not count as time.
 """
 
 import argparse
@@ -35,91 +36,133 @@ def track(receivers, pings, start):
     return place, place[:, None] + along[:, None] * axis[:, None], velocity, look, axis
 
 
-def survey(receivers, length, taper=0.5, shape="fan", seed=0):
-    """Echoes that a strip of `length` m needs, and its seconds of survey."""
-    far = np.hypot(SWATH + NEAR, HEIGHT)
-    reach = far * np.tan(HALF_ANGLE + 5e-3)
+FAR = np.hypot(SWATH + NEAR, HEIGHT)
+REACH = FAR * np.tan(HALF_ANGLE + 5e-3)  # along the track, of a ping
+
+
+def pings_for(receivers, length):
+    """Pings that light a strip of `length` m, and its seconds of survey."""
     advance = receivers * ELEMENT / 2
-    pings = int(np.ceil((length + 2 * reach) / advance))
-    tx, rx, velocity, look, axis = track(receivers, pings, -reach)
-    samples = int(2 * (far / np.cos(HALF_ANGLE) - NEAR) / C * FS) + 300
-    rng = np.random.default_rng(seed)
+    return int(np.ceil((length + 2 * REACH) / advance)), length / (advance * RATE)
+
+
+def recorded(receivers, pings, some, taper=0.5, shape="fan", seed=0):
+    """Pings number `some`, a slice, of a track of so many: the same whichever are asked for."""
+    tx, rx, velocity, look, axis = (part[some] for part in track(receivers, pings, -REACH))
+    samples = int(2 * (FAR / np.cos(HALF_ANGLE) - NEAR) / C * FS) + 300
     keep = (np.abs(np.fft.fftfreq(samples)) <= BAND / 2 / FS).astype(np.float32)
-    data = np.empty((pings, receivers, samples), dtype=np.complex64)
-    for ping in range(pings):
+    data = np.empty((len(tx), receivers, samples), dtype=np.complex64)
+    for ping, number in zip(data, range(pings)[some], strict=True):
+        rng = np.random.default_rng([seed, number])
         noise = rng.standard_normal((receivers, 2 * samples), dtype=np.float32).view(np.complex64)
-        data[ping] = np.fft.ifft(np.fft.fft(noise) * keep)
+        ping[:] = np.fft.ifft(np.fft.fft(noise) * keep)
     beam = pysas.Beam(look, ELEMENT, HALF_ANGLE, shape, taper, axis if shape == "fan" else None)
-    echoes = pysas.Echoes(
+    return pysas.Echoes(
         data, fs=FS, fc=FC, tx=tx, rx=rx, c=C, t0=2 * NEAR / C, velocity=velocity, bandwidth=BAND, beam=beam
     )  # fmt: skip
-    return echoes, length / (advance * RATE)
 
 
-def ground(length, relief=0.0):
-    """The strip's grid: a plane, or a height map of so many m from lowest to highest."""
-    x, y = np.arange(0, length, PIXEL), np.arange(NEAR, NEAR + SWATH, PIXEL)
-    if not relief:
-        return pysas.Grid.plane(x, y)
+def survey(receivers, length, taper=0.5, shape="fan", seed=0):
+    """Echoes that a strip of `length` m needs, and its seconds of survey."""
+    pings, covered = pings_for(receivers, length)
+    return recorded(receivers, pings, slice(0, pings), taper, shape, seed), covered
+
+
+def height_of(x, y, relief):
+    """Heights of the ground (y, x) of so many m from lowest to highest."""
     waves = np.sin(2 * np.pi * x / 23)[None, :] * np.cos(2 * np.pi * y / 31)[:, None] + 0.1 * np.sin(2 * np.pi * y / 3)[:, None]
-    return pysas.Grid.surface(x, y, relief / 2 * waves / np.abs(waves).max())
+    return relief / 2.2 * waves
+
+
+def ground(length, relief=0.0, start=0.0):
+    """The strip's grid: a plane, or a height map."""
+    x, y = start + PIXEL * np.arange(round(length / PIXEL)), np.arange(NEAR, NEAR + SWATH, PIXEL)
+    return pysas.Grid.surface(x, y, height_of(x, y, relief)) if relief else pysas.Grid.plane(x, y)
+
+
+def exactly(echoes, grid, pixels, found):
+    """Squares of what pixels are wrong by, and of what that is relative to."""
+    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    return np.linalg.norm(found - exact) ** 2, max(np.linalg.norm(exact), np.linalg.norm(level)) ** 2
 
 
 def error_of(image, echoes, grid, count, seed=1):
     """Relative error on random pixels."""
     pixels = np.random.default_rng(seed).choice(grid.size, count, replace=False)
-    exact, level = pysas.reference.exact(echoes, grid, pixels)
-    wrong = np.linalg.norm(image.data.ravel()[pixels] - exact)
-    return wrong / max(np.linalg.norm(exact), np.linalg.norm(level))
+    wrong, whole = exactly(echoes, grid, pixels, image.data.ravel()[pixels])
+    return np.sqrt(wrong / whole)
 
 
-def pings_of(echoes, count=4):
-    """The echoes as a recorder tells them, a few pings at a time."""
-    beam = echoes.beam
-    for begin in range(0, echoes.n_ping, count):
-        some = slice(begin, begin + count)
-        axis = None if beam.axis is None else beam.axis[some]
-        yield echoes.replace(
-            data=echoes.data[some], tx=echoes.tx[some], rx=echoes.rx[some], velocity=echoes.velocity[some],
-            beam=pysas.Beam(beam.boresight[some], beam.length, beam.half_angle, beam.shape, beam.taper, axis),
-        )  # fmt: skip
+class Recorder:
+    """The pings of a survey as a recorder tells them, a few at a time, and the seconds that making them takes."""
+
+    def __init__(self, receivers, length, count=4, **beam):
+        self.receivers, self.beam, self.count = receivers, beam, count
+        self.pings, self.covered = pings_for(receivers, length)
+        self.spent = 0.0
+
+    def some(self, begin, end):
+        return recorded(self.receivers, self.pings, slice(begin, end), **self.beam)
+
+    def __iter__(self):
+        for begin in range(0, self.pings, self.count):
+            clock = time.perf_counter()
+            echoes = self.some(begin, begin + self.count)
+            self.spent += time.perf_counter() - clock
+            yield echoes
 
 
-def through_strip(echoes, grid, tol, threads, length=10.0):
-    """The grid's image from a stream of pings, its terms, and the last part's report."""
-    x = grid.axes["x"]
-    strip = pysas.Strip(grid.axes["y"], PIXEL, length, tol=tol, threads=threads)
-    data, terms = np.zeros(grid.shape, dtype=np.complex64), 0
-    for image in strip.stream(pings_of(echoes)):
-        first = round((image.grid.axes["x"][0] - x[0]) / PIXEL)
-        low, high = max(first, 0), min(first + strip.columns, x.size)
-        if low < high:
-            data[:, low:high] = image.data[:, low - first : high - first]
-        terms, report = terms + image.report.terms, image.report
-    return pysas.Image(data, grid, report, echoes.fc, echoes.c), terms
+def through_strip(recorder, length, relief, tol, threads, pixels, image_length=10.0):
+    """A strip's seconds, terms, terms through trees, and error on random pixels of three of its images."""
+    y, count = np.arange(NEAR, NEAR + SWATH, PIXEL), round(length / image_length)
+    z = (lambda x, y: height_of(x, y, relief)) if relief else 0.0
+    strip = pysas.Strip(y, PIXEL, image_length, z=z, tol=tol, threads=threads)
+    looked_at, kept, terms, factorised = {0, count // 2, count - 1}, {}, 0, 0.0
+    clock, looking = time.perf_counter(), 0.0
+    for image in strip.stream(recorder):
+        number = round(image.grid.axes["x"][0] / image_length)
+        terms += image.report.terms
+        factorised += image.report.terms * image.report.factorised_share
+        if pixels and number in looked_at:
+            begin = time.perf_counter()
+            some = np.random.default_rng(number).choice(image.grid.size, pixels // len(looked_at), replace=False)
+            kept[number] = some, image.data.ravel()[some]
+            looking += time.perf_counter() - begin
+    spent = time.perf_counter() - clock - recorder.spent - looking
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    advance = recorder.receivers * ELEMENT / 2
+    wrong = whole = 0.0
+    for number, (some, found) in kept.items():
+        # pings that light the image: the first stands at -REACH
+        first = max(int(number * image_length / advance) - 1, 0)
+        echoes = recorder.some(first, int(((number + 1) * image_length + 2 * REACH) / advance) + 2)
+        off, size = exactly(echoes, ground(image_length, relief, number * image_length), some, found)
+        wrong, whole = wrong + off, whole + size
+    return spent, terms, factorised / max(terms, 1), np.sqrt(wrong / whole) if kept else np.nan, memory
 
 
 def row(receivers, length, relief, method, tol, threads, pixels, **beam):
     """Cells of one scene: prediction, time, rates and errors."""
-    echoes, covered = survey(receivers, length, **beam)
-    grid = ground(length, relief)
-    clock = time.perf_counter()
     if method == "strip":
-        predicted = np.nan
-        image, terms = through_strip(echoes, grid, tol, threads)
-        report = image.report
+        recorder = Recorder(receivers, length, **beam)
+        covered, predicted, took = recorder.covered, np.nan, "auto"
+        spent, terms, share, error, memory = through_strip(recorder, length, relief, tol, threads, pixels)
+        size = round(length / PIXEL) * round(SWATH / PIXEL)
     else:
+        echoes, covered = survey(receivers, length, **beam)
+        grid = ground(length, relief)
+        clock = time.perf_counter()
         plan = pysas.plan(echoes, grid, tol, method, threads=threads)
         image = plan(echoes.data)
-        report, predicted = image.report, plan.predicted_seconds
-        terms = report.terms
-    spent = time.perf_counter() - clock
-    error = error_of(image, echoes, grid, pixels) if pixels else np.nan
+        spent = time.perf_counter() - clock
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+        report, predicted, size = image.report, plan.predicted_seconds, grid.size
+        took, terms, share = report.method, report.terms, report.factorised_share
+        error = error_of(image, echoes, grid, pixels) if pixels else np.nan
     return [
-        receivers, f"{length:g}", f"{relief:g}", method, report.method, f"{tol:g}", threads,
-        f"{predicted:.2f}", f"{spent:.2f}", f"{covered / spent:.2f}", f"{terms / grid.size:.0f}",
-        f"{terms / spent / threads / 1e9:.2f}", f"{report.factorised_share:.2f}", f"{error:.1e}",
-        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10:.0f}",
+        receivers, f"{length:g}", f"{relief:g}", method, took, f"{tol:g}", threads,
+        f"{predicted:.2f}", f"{spent:.2f}", f"{covered / spent:.2f}", f"{terms / size:.0f}",
+        f"{terms / spent / threads / 1e9:.2f}", f"{share:.2f}", f"{error:.1e}", f"{memory:.0f}",
     ]  # fmt: skip
 
 

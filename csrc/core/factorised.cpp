@@ -7,6 +7,7 @@
 
 #include "core/errors.hpp"
 #include "core/lattice.hpp"
+#include "core/room.hpp"
 
 namespace pysas {
 namespace {
@@ -49,6 +50,8 @@ void smooth_across(const Kernels& kernels, const Tree& tree, const SubImage* ima
         tick);
 }
 
+}  // namespace
+
 void smooth_along(const Kernels& kernels, const Tree& tree, const SubImage* images, std::int64_t n_image, int threads,
                   const Tick& tick) {
     const int half = tree.taps->half;
@@ -70,8 +73,6 @@ void smooth_along(const Kernels& kernels, const Tree& tree, const SubImage* imag
             tick);
     }
 }
-
-}  // namespace
 
 Taps make_taps(int count, const float* even, const float* odd, const float* tap, const float* filter, int half) {
     if ((count != 6 && count != 8) || half < 0 || half > max_smoothing)
@@ -110,7 +111,8 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
 }
 
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
-            const SubImage* images, std::int64_t n_image, double slack, bool smooth, int threads, const Tick& tick) {
+            const SubImage* images, std::int64_t n_image, double slack, bool fades, bool smooth, int threads,
+            const Tick& tick) {
     compiled(terms);
     std::vector<Piece> pieces;
     for (std::int64_t i = 0; i < n_image; ++i) {
@@ -142,7 +144,7 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
             TileWeights<float> weights;
             alignas(64) float re[tile_rows * block], im[tile_rows * block];
             std::int64_t rays[tile_rows];
-            LeafJob job{&tree, &image, &part, rays, 0, 0, 0, static_cast<float>(slack), re, im, nullptr};
+            LeafJob job{&tree, &image, &part, rays, 0, 0, 0, static_cast<float>(slack), fades, re, im, nullptr};
             for (std::int64_t ray = 0; ray < image.rays;) {
                 // rays that have nodes here, and what of the stretch they need
                 std::int64_t begin = piece.end, end = piece.begin;
@@ -171,8 +173,8 @@ void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms,
 }
 
 void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, const std::int64_t* span,
-           const SubImage* images, std::int64_t n_image, bool add, bool last, bool smooth, int threads,
-           const Tick& tick) {
+           const SubImage* images, std::int64_t n_image, const Trace* const* lit, const Light& light, bool add,
+           bool last, bool smooth, int threads, const Tick& tick) {
     std::vector<Piece> pieces;
     std::int64_t longest = 0;
     for (std::int64_t i = 0; i < n_image; ++i) {
@@ -187,7 +189,7 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
         static_cast<std::int64_t>(pieces.size()), threads,
         [&](std::int64_t task) {
             const Piece& piece = pieces[static_cast<std::size_t>(task)];
-            auto work = scratch.take(static_cast<std::size_t>(4 * room));
+            auto work = scratch.take(static_cast<std::size_t>(4 * room) + aligned);
             MergeJob job{&tree,
                          images + piece.image,
                          children + span[piece.image],
@@ -196,7 +198,9 @@ void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, c
                          room,
                          add,
                          smooth,
-                         work.data()};
+                         align(work.data()),
+                         lit ? lit + span[piece.image] : nullptr,
+                         &light};
             for (job.ray = piece.begin; job.ray < piece.end; ++job.ray) kernels.merge(job);
             scratch.give(std::move(work));
         },

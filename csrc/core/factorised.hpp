@@ -22,15 +22,22 @@ std::vector<SubImage> sub_images(const double* place, const std::int64_t* shape,
                                  const std::int32_t* range, std::int64_t n_range, float* store, std::int64_t room);
 
 // Fill sub-images of groups of traces: image i from traces span[i] to span[i + 1] of `terms`. With `smooth` pixels are
-// to be read from them. `slack`: what phase factors may be wrong by.
+// to be read from them; with `fades` traces weigh what a beam's taper leaves of them. `slack`: what phase factors may
+// be wrong by.
 void leaves(const Kernels& kernels, const Tree& tree, const Terms<float>& terms, const std::int64_t* span,
-            const SubImage* images, std::int64_t n_image, double slack, bool smooth, int threads, const Tick& tick);
+            const SubImage* images, std::int64_t n_image, double slack, bool fades, bool smooth, int threads,
+            const Tick& tick);
 
 // Sub-images from their children: image i from children span[i] to span[i + 1], added to what it holds with `add`.
 // `last`: no more children come, filter it across its rays; with `smooth` (pixels are to be read) along them too.
+// `lit`: a trace of each child, which weighs what a beam's taper leaves of it; or null.
 void merge(const Kernels& kernels, const Tree& tree, const SubImage* children, const std::int64_t* span,
-           const SubImage* images, std::int64_t n_image, bool add, bool last, bool smooth, int threads,
-           const Tick& tick);
+           const SubImage* images, std::int64_t n_image, const Trace* const* lit, const Light& light, bool add,
+           bool last, bool smooth, int threads, const Tick& tick);
+
+// Filter sub-images along their rays, which pixels are read off one by one.
+void smooth_along(const Kernels& kernels, const Tree& tree, const SubImage* images, std::int64_t n_image, int threads,
+                  const Tick& tick);
 
 // Add a sub-image to the tiles of an image for which `wanted` (in the order of rows of tiles) is not 0. The raster has
 // lines on the sub-image's plane, or points and a stack.

@@ -236,18 +236,22 @@ struct LeafJob {
     std::int64_t begin;
     int count;
     float slack;
+    bool fades;      // whether traces weigh here what a beam's taper leaves of them
     float *re, *im;  // (tile_rows, block), set to the sums
     const Weights<float>* weights;
 };
 
 // One ray of a parent from its children, added to what it holds with `add`; `smooth`: filtered along it then. `work`: 4
-// rows of `room`.
+// rows of `room`. `lit`: a trace of each child, which weighs what the beam's taper leaves of it at the parent's nodes;
+// or null.
 struct MergeJob {
     const Tree* tree;
     const SubImage *parent, *children;
     std::int64_t n_child, ray, room;
     bool add, smooth;
     float* work;
+    const Trace* const* lit;
+    const Light* light;
 };
 
 // How pixels off a sub-image's plane are read from it: at their range and place along the group's `axis`, which a group
@@ -270,6 +274,19 @@ struct ReadJob {
     const std::uint8_t* active;
     int rows, count;
     float *re, *im;
+};
+
+// Pixels first + m step, m < count, of a line on a sub-image's plane that leads away from its centre within 17 degrees,
+// their carrier given back. Positions are polynomials along `stretch` pixels. `work`: 4 rows of `room`, which holds
+// what lies between the line's ends and 4 blocks more; vectors of `re` and `im` run on.
+struct ColumnJob {
+    const Tree* tree;
+    const SubImage* image;
+    double first[2], step[2];
+    std::int64_t count;
+    int stretch;
+    std::int64_t room;
+    float *work, *re, *im;
 };
 
 // A stage of a Fourier transform of sequences side by side, see core/transforms.cpp. Value m of a sequence lies at
@@ -301,6 +318,7 @@ struct Kernels {
                           std::int64_t begin, std::int64_t end, float* work);
     void (*merge)(const MergeJob&);
     void (*read)(ReadJob&);
+    void (*column)(const ColumnJob&);
     void (*stage_single)(const StageJob<float>&);
     void (*stage_double)(const StageJob<double>&);
 };

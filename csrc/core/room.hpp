@@ -13,6 +13,13 @@
 
 namespace pysas {
 
+// Floats by which vectors' loads lie on lines of the cache, and the first such place at `from` or behind.
+constexpr std::size_t aligned = 16;
+inline float* align(float* from) {
+    const auto place = reinterpret_cast<std::uintptr_t>(from);
+    return from + (aligned - place / sizeof(float) % aligned) % aligned;
+}
+
 // Room for `count` numbers, all 0 or not set, in large pages where the system has them: the first touch of small ones
 // takes as long as some sums do.
 template <typename T>

@@ -137,6 +137,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
     run(
         down * across, threads,
         [&](std::int64_t task) {
+            if (raster.tiles && !raster.tiles[task]) return;
             const std::int64_t top = task / across * rows, left = task % across * columns;
             const std::int64_t bottom = std::min(top + rows, raster.height),
                                right = std::min(left + columns, raster.width);

@@ -62,7 +62,8 @@ struct Raster {
     const double* points;      // (width, 3) where there are no lines
     const std::uint8_t* mask;  // (height, width) pixels wanted, or null
     std::int64_t height, width;
-    int count;  // pixels of a block
+    int count;                            // pixels of a block
+    const std::uint8_t* tiles = nullptr;  // those wanted, of straight lines; or all
 };
 
 // How the lines of a raster are cut into tiles of `tile_rows` lines and `count` pixels.

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "core/columns.hpp"
 #include "core/execution.hpp"
 #include "core/factorised.hpp"
 #include "core/polynomials.hpp"
@@ -20,7 +21,8 @@ using Mask = std::vector<std::uint8_t>;
 constexpr int carrier_terms = 6;  // of the sine of sub-images' carriers
 
 Store& room_of(Store& store, std::int64_t size) {
-    if (static_cast<std::int64_t>(store.size()) < size) store = Store(static_cast<std::size_t>(size), true);
+    const auto needed = static_cast<std::size_t>(size) + aligned;
+    if (store.size() < needed) store = Store(needed, true);
     return store;
 }
 
@@ -30,8 +32,8 @@ std::vector<SubImage> images_of(const Level& level, std::int64_t begin, std::int
     Numbers shape(level.shape.begin() + 5 * begin, level.shape.begin() + 5 * end);
     for (std::size_t i = 3; i < shape.size(); i += 5) shape[i] -= level.offset(base);
     return sub_images(level.place.data() + 7 * begin, shape.data(), end - begin, level.range.data(),
-                      static_cast<std::int64_t>(level.range.size()), store.get(),
-                      static_cast<std::int64_t>(store.size()));
+                      static_cast<std::int64_t>(level.range.size()), align(store.get()),
+                      static_cast<std::int64_t>(store.size() - aligned));
 }
 
 bool any(const Mask& tiles) { return std::count(tiles.begin(), tiles.end(), 0) != std::ptrdiff_t(tiles.size()); }
@@ -62,6 +64,7 @@ class Walk {
     void sum() {
         for (const Section& section : forest_.sections) {
             for (const GroupTree& tree : section.trees) sum(section, tree);
+            read_waiting(section);
         }
     }
 
@@ -72,22 +75,33 @@ class Walk {
     };
 
     void sum(const Section& section, const GroupTree& tree) {
-        const Mask direct = any(tree.direct) ? pixels_of(tree.direct, section) : Mask();
+        const bool beside = any(tree.direct);
+        const Mask direct = beside && !image_.straight() ? pixels_of(tree.direct, section) : Mask();
         stores_.resize(std::max(stores_.size(), tree.levels.size()));
         for (const TreeBatch& b : batches_of(tree, run_.recipe.batch)) {
             Stopwatch watch;
             tables_->fill(run_, data_, tree.traces.data() + b.begin, b.end - b.begin);
             run_.totals.prepare_seconds += watch.lap();
-            const double part = tree.levels.empty() || direct.empty() ? 1 : 0.5;
+            const double part = tree.levels.empty() || !beside ? 1 : 0.5;
             if (!tree.levels.empty()) make_leaves(tree, b, share_of(b, 0, part));
-            if (!direct.empty()) add_direct(section, direct, b, part);
+            if (beside) add_direct(section, tree, direct, b, part);
             run_.totals.sum_seconds += watch.lap();
             run_.progress.reach(static_cast<double>(done_ + b.end) / static_cast<double>(whole_));
         }
         done_ += static_cast<std::int64_t>(tree.traces.size());
         if (tree.levels.empty()) return;
         Stopwatch watch;
-        read_top(section, tree);
+        if (along(tree)) {
+            Store& top = stores_[tree.levels.size() - 1];
+            waiting_.push_back({&tree, std::move(top)});
+            if (!idle_.empty()) {
+                top = std::move(idle_.back());
+                idle_.pop_back();
+            }
+            if (waiting(tree) <= static_cast<std::int64_t>(waiting_.size())) read_waiting(section);
+        } else {
+            read_top(section, tree, images_of(tree.levels.back(), 0, 1, 0, stores_[tree.levels.size() - 1])[0]);
+        }
         if (section.number == 0) run_.totals.terms += used_of(tree) * read_of(section, tree);
         run_.totals.sum_seconds += watch.lap();
         run_.progress.reach(static_cast<double>(done_) / static_cast<double>(whole_));
@@ -115,15 +129,16 @@ class Walk {
             images_of(level, b.first, b.last, b.first, room_of(stores_[0], level.room(b.first, b.last)));
         Numbers span(level.span.begin() + b.first, level.span.begin() + b.last + 1);
         for (auto& number : span) number -= b.begin;
-        const bool alone = tree.levels.size() == 1;
+        const bool alone = tree.levels.size() == 1, by_pixel = !along(tree);
         leaves(run_.kernels, tree_, tables_->terms(), span.data(), images.data(), b.last - b.first, forest_.slack,
-               alone, run_.threads, tick);
-        if (!alone) merge_up(tree.levels, 0, b.first, b.last);
+               run_.recipe.light.terms > 0 && tree.lit < 0, alone && by_pixel, run_.threads, tick);
+        if (!alone) merge_up(tree, 0, b.first, b.last, by_pixel);
     }
 
     // Merge complete sub-images [begin, end) of a level into their parents, and parents that this completes into
-    // theirs. Of each level above the leaves there is room for one alone.
-    void merge_up(const std::vector<Level>& levels, std::size_t below, std::int64_t begin, std::int64_t end) {
+    // theirs. Of each level above the leaves there is room for one alone. `smooth`: the topmost along its rays too.
+    void merge_up(const GroupTree& tree, std::size_t below, std::int64_t begin, std::int64_t end, bool smooth) {
+        const std::vector<Level>& levels = tree.levels;
         const Level& above = levels[below + 1];
         for (const std::int64_t base = begin; begin < end;) {
             const auto at = std::upper_bound(above.span.begin(), above.span.end(), begin) - 1;
@@ -133,20 +148,31 @@ class Walk {
                                          room_of(stores_[below + 1], above.room(parent, parent + 1)));
             const bool last = stop == at[1], top = below + 2 == levels.size();
             const std::int64_t span[] = {0, stop - begin};
-            merge(run_.kernels, tree_, children.data(), span, image.data(), 1, begin > at[0], last, last && top,
-                  run_.threads, run_.progress.poll());
-            if (last && !top) merge_up(levels, below + 1, parent, parent + 1);
+            std::vector<const Trace*> lit;
+            for (std::int64_t c = begin; static_cast<int>(below) == tree.lit && c < stop; ++c)
+                lit.push_back(&run_.recipe.traces[static_cast<std::size_t>(first_of(tree, below, c))]);
+            merge(run_.kernels, tree_, children.data(), span, image.data(), 1, lit.empty() ? nullptr : lit.data(),
+                  run_.recipe.light, begin > at[0], last, last && top && smooth, run_.threads, run_.progress.poll());
+            if (last && !top) merge_up(tree, below + 1, parent, parent + 1, smooth);
             begin = stop;
         }
     }
 
+    // Flat number of the first trace of a level's image.
+    static std::int64_t first_of(const GroupTree& tree, std::size_t level, std::int64_t image) {
+        for (std::size_t i = level + 1; i-- > 0;) image = tree.levels[i].span[static_cast<std::size_t>(image)];
+        return tree.traces[static_cast<std::size_t>(image)];
+    }
+
     // Prepared traces, at pixels of a section that are not read from trees.
-    void add_direct(const Section& section, const Mask& pixels, const TreeBatch& b, double part) {
+    void add_direct(const Section& section, const GroupTree& tree, const Mask& pixels, const TreeBatch& b,
+                    double part) {
         const Tick tick = share_of(b, 1 - part, part);
         const Terms<float>& terms = tables_->terms();
         const std::int64_t width = image_.width;
         if (image_.straight()) {
-            const Raster raster = lines_of(section, pixels.data());
+            Raster raster = lines_of(section, mask_of(section));
+            raster.tiles = tree.direct.data();
             run_.totals.terms +=
                 add(run_.kernels, terms, raster, lines(section.begin, section.end), run_.threads, tick);
             return;
@@ -172,14 +198,36 @@ class Walk {
         }
     }
 
-    // The topmost sub-image, at pixels that are read from it.
-    void read_top(const Section& section, const GroupTree& tree) {
-        const Level& top = tree.levels.back();
-        const SubImage from = images_of(top, 0, 1, 0, stores_[tree.levels.size() - 1])[0];
-        const std::uint8_t* mask = image_.mask.empty() ? nullptr : image_.mask.data() + section.begin * image_.width;
+    // Sub-images that wait, at lines of pixels that are read from them, then at what is read pixel by pixel.
+    void read_waiting(const Section& section) {
+        if (waiting_.empty()) return;
+        const Raster raster = lines_of(section, mask_of(section));
+        const View<Pixel, 2> to = lines(section.begin, section.end);
+        const Tick poll = run_.progress.poll();
+        std::vector<Source> sources;
+        for (Waiting& one : waiting_)
+            sources.push_back({images_of(one.tree->levels.back(), 0, 1, 0, one.store)[0], one.tree->read.data()});
+        read_along(run_.kernels, tree_, sources, raster, by_columns, section.stretch, to, run_.threads, poll);
+        read_along(run_.kernels, tree_, sources, raster, by_lines, image_.count, to, run_.threads, poll);
+        for (std::size_t i = 0; i < waiting_.size(); ++i) {
+            const GroupTree& tree = *waiting_[i].tree;
+            if (std::find(tree.read.begin(), tree.read.end(), by_pixels) != tree.read.end()) {
+                smooth_along(run_.kernels, tree_, &sources[i].image, 1, run_.threads, poll);
+                read_top(section, tree, sources[i].image);
+            }
+            idle_.push_back(std::move(waiting_[i].store));
+        }
+        waiting_.clear();
+    }
+
+    // The topmost sub-image, at pixels that are read from it one by one.
+    void read_top(const Section& section, const GroupTree& tree, const SubImage& from) {
+        const std::uint8_t* mask = mask_of(section);
         const Tick poll = run_.progress.poll();
         if (section.flat && image_.straight()) {
-            read(run_.kernels, tree_, from, lines_of(section, mask), nullptr, tree.read.data(),
+            Mask single(tree.read.size());
+            for (std::size_t i = 0; i < single.size(); ++i) single[i] = tree.read[i] == by_pixels;
+            read(run_.kernels, tree_, from, lines_of(section, mask), nullptr, single.data(),
                  lines(section.begin, section.end), run_.threads, poll);
             return;
         }
@@ -201,6 +249,10 @@ class Walk {
             read(run_.kernels, tree_, from, raster, &stack, tree.read.data() + band.top / tile_rows * across,
                  lines(section.begin + band.top, section.begin + band.bottom), run_.threads, poll);
         }
+    }
+
+    const std::uint8_t* mask_of(const Section& section) const {
+        return image_.mask.empty() ? nullptr : image_.mask.data() + section.begin * image_.width;
     }
 
     // The pixels wanted of some tiles of a section, (line, pixel).
@@ -279,9 +331,26 @@ class Walk {
     std::optional<Tables<float>> tables_;
     Tree tree_{};
     std::vector<Store> stores_;
+
+    // Topmost sub-images that are read together: an image is added to as often.
+    struct Waiting {
+        const GroupTree* tree;
+        Store store;
+    };
+    std::vector<Waiting> waiting_;
+    std::vector<Store> idle_;
 };
 
 }  // namespace
+
+bool along(const GroupTree& tree) {
+    return std::any_of(tree.read.begin(), tree.read.end(), [](std::uint8_t how) { return how > by_pixels; });
+}
+
+std::int64_t waiting(const GroupTree& tree) {
+    constexpr std::int64_t most = 8, floats = std::int64_t{1} << 24;
+    return std::clamp<std::int64_t>(floats / std::max<std::int64_t>(tree.levels.back().room(0, 1), 1), 1, most);
+}
 
 std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most) {
     std::vector<TreeBatch> out;
@@ -311,9 +380,11 @@ std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most) {
 
 std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
     std::vector<std::int64_t> most;
+    std::int64_t kept = 0;
     for (const Section& section : forest.sections) {
         for (const GroupTree& tree : section.trees) {
             most.resize(std::max(most.size(), tree.levels.size()));
+            if (along(tree)) kept = std::max(kept, (waiting(tree) - 1) * tree.levels.back().room(0, 1));
             for (std::size_t i = 0; i < tree.levels.size(); ++i) {
                 const Level& level = tree.levels[i];
                 if (i == 0) {
@@ -325,7 +396,7 @@ std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
             }
         }
     }
-    std::int64_t sum = 0;
+    std::int64_t sum = kept;
     for (const std::int64_t floats : most) sum += floats;
     return sum;
 }

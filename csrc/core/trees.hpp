@@ -27,12 +27,18 @@ struct Level {
     }
 };
 
+// How a tile is read from a sub-image: pixel by pixel, or along lines that lead away from it, of one pixel each of all
+// its lines or of all pixels of a line.
+enum Reads : std::uint8_t { unread, by_pixels, by_columns, by_lines };
+
 // One of the longest groups over a section. Tiles neither read nor summed directly hear nothing of it, or are not
 // wanted.
 struct GroupTree {
     Numbers traces;                          // flat numbers, in the order of the leaves
-    std::vector<std::uint8_t> read, direct;  // tiles
+    std::vector<std::uint8_t> read, direct;  // tiles; `read`: how
     std::vector<Level> levels;               // leaves first; none where nothing is read
+    int lit;                                 // level whose images, each of one ping, a taper weighs as they are merged
+                                             // (-1: in leaves)
     double axis[3];                          // of the group
 };
 
@@ -44,7 +50,8 @@ struct Section {
     double plane;  // m
     std::vector<double> heights;
     int number;
-    Numbers pixels;  // wanted, of each tile
+    Numbers pixels;   // wanted, of each tile
+    int stretch = 0;  // pixels of a column that one polynomial holds for
     std::vector<GroupTree> trees;
 };
 
@@ -63,7 +70,13 @@ struct TreeBatch {
 };
 std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most);
 
-// Floats of the stores that a forest needs at a time: a batch of leaves, and one sub-image of each level above them.
+// Whether lines are read from a tree's topmost sub-image, which is not filtered along its rays then; and how many such
+// sub-images are kept and read together.
+bool along(const GroupTree& tree);
+std::int64_t waiting(const GroupTree& tree);
+
+// Floats of the stores that a forest needs at a time: a batch of leaves, one sub-image of each level above them, and
+// those that wait.
 std::int64_t stores_of(const Forest& forest, std::int64_t batch);
 
 }  // namespace pysas

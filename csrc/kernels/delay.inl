@@ -3,24 +3,40 @@
 
 // Delay of the points (x, y, z). Moving: the positive root of (c^2 - v^2) tau^2 - 2 (c D - d.v) tau + D^2 - d^2 = 0,
 // with D the distance from the transmitter and d the vector from the receiver's place at transmission.
+inline Double::vec square_of(Double::vec a, Double::vec b, Double::vec d) {
+    using V = Double;
+    return V::fma(a, a, V::fma(b, b, V::mul(d, d)));
+}
+
+// Squares of the ways out.
+inline Double::vec way_out(const Trace& trace, Double::vec x, Double::vec y, Double::vec z) {
+    using V = Double;
+    return square_of(V::sub(x, V::set(trace.tx[0])), V::sub(y, V::set(trace.tx[1])), V::sub(z, V::set(trace.tx[2])));
+}
+
+// With the way out and its square, which traces of a ping share.
 template <Kind K>
-Double::vec delay(const Trace& trace, double c, Double::vec x, Double::vec y, Double::vec z) {
+Double::vec delay_from(const Trace& trace, double c, Double::vec there, Double::vec there2, Double::vec x,
+                       Double::vec y, Double::vec z) {
     using V = Double;
     using vec = V::vec;
-    const auto square = [](vec a, vec b, vec d) { return V::fma(a, a, V::fma(b, b, V::mul(d, d))); };
-    const vec there2 =
-        square(V::sub(x, V::set(trace.tx[0])), V::sub(y, V::set(trace.tx[1])), V::sub(z, V::set(trace.tx[2])));
-    if constexpr (K == Kind::monostatic) return V::mul(V::set(2.0 / c), V::root(there2));
+    if constexpr (K == Kind::monostatic) return V::mul(V::set(2.0 / c), there);
     const vec dx = V::sub(x, V::set(trace.rx[0])), dy = V::sub(y, V::set(trace.rx[1])),
               dz = V::sub(z, V::set(trace.rx[2]));
-    const vec back2 = square(dx, dy, dz);
-    if constexpr (K == Kind::stop_and_hop) return V::mul(V::set(1.0 / c), V::add(V::root(there2), V::root(back2)));
+    const vec back2 = square_of(dx, dy, dz);
+    if constexpr (K == Kind::stop_and_hop) return V::mul(V::set(1.0 / c), V::add(there, V::root(back2)));
     const double* v = trace.velocity;
     const double a = c * c - (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
     const vec along = V::fma(dx, V::set(v[0]), V::fma(dy, V::set(v[1]), V::mul(dz, V::set(v[2]))));
-    const vec b = V::sub(V::mul(V::set(c), V::root(there2)), along);
+    const vec b = V::sub(V::mul(V::set(c), there), along);
     const vec root = V::root(V::fma(b, b, V::mul(V::set(a), V::sub(back2, there2))));
     return V::mul(V::set(1.0 / a), V::add(b, root));
+}
+
+template <Kind K>
+Double::vec delay(const Trace& trace, double c, Double::vec x, Double::vec y, Double::vec z) {
+    const Double::vec there2 = way_out(trace, x, y, z);
+    return delay_from<K>(trace, c, Double::root(there2), there2, x, y, z);
 }
 
 enum class Reach { outside, inside, fading, across };

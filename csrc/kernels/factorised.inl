@@ -47,16 +47,23 @@ void weigh(const Taps& taps, typename V::vec x, typename V::vec (&out)[W]) {
 
 // One vector of nodes read W taps wide, from tap to tap `apart` reals on from `re` and `im`.
 template <class V, int W>
-void read_here(const Taps& taps, typename V::vec x, const float* re, const float* im, std::int64_t apart,
-               typename V::vec& out_re, typename V::vec& out_im) {
-    typename V::vec weight[W];
-    weigh<V, W>(taps, x, weight);
+void weighed(const typename V::vec (&weight)[W], const float* re, const float* im, std::int64_t apart,
+             typename V::vec& out_re, typename V::vec& out_im) {
     out_re = V::mul(weight[0], V::load(re));
     out_im = V::mul(weight[0], V::load(im));
     for (int t = 1; t < W; ++t) {
         out_re = V::fma(weight[t], V::load(re + t * apart), out_re);
         out_im = V::fma(weight[t], V::load(im + t * apart), out_im);
     }
+}
+
+// The same at places x of one interval.
+template <class V, int W>
+void read_here(const Taps& taps, typename V::vec x, const float* re, const float* im, std::int64_t apart,
+               typename V::vec& out_re, typename V::vec& out_im) {
+    typename V::vec weight[W];
+    weigh<V, W>(taps, x, weight);
+    weighed<V, W>(weight, re, im, apart, out_re, out_im);
 }
 
 // The interval that all nodes of a stretch lie in, if one is sure to: their places are within the sum of powers of
@@ -80,20 +87,35 @@ void read_taps(const Taps& taps, typename V::vec position, std::int64_t base, st
     V::store(each, interval);
     const float first = each[0], last = each[V::n - 1];
     const float low = first < last ? first : last, high = first < last ? last : first;
+    const auto within = [&](float k) {
+        const std::int64_t from = base + static_cast<std::int64_t>(k);
+        return from < least ? least : from > most ? most : from;
+    };
+    typename V::vec weight[W];
+    weigh<V, W>(taps, x, weight);
+    if (low == high) {
+        const std::int64_t from = within(low);
+        weighed<V, W>(weight, re + from * apart, im + from * apart, apart, out_re, out_im);
+        return;
+    }
+    if (high == low + 1 && within(high) == within(low) + 1) {  // one tap more, and none of the others read twice
+        const auto behind = V::one_where_eq(interval, V::set(high)), before = V::sub(V::set(1), behind);
+        typename V::vec each_weight[W + 1];
+        each_weight[0] = V::mul(before, weight[0]);
+        for (int t = 1; t < W; ++t) each_weight[t] = V::fma(behind, weight[t - 1], V::mul(before, weight[t]));
+        each_weight[W] = V::mul(behind, weight[W - 1]);
+        const std::int64_t from = within(low);
+        weighed<V, W + 1>(each_weight, re + from * apart, im + from * apart, apart, out_re, out_im);
+        return;
+    }
     out_re = out_im = V::set(0);
     for (float k = low; k <= high; k += 1) {
-        std::int64_t from = base + static_cast<std::int64_t>(k);
-        from = from < least ? least : from > most ? most : from;
+        const std::int64_t from = within(k);
         typename V::vec sum_re, sum_im;
-        read_here<V, W>(taps, x, re + from * apart, im + from * apart, apart, sum_re, sum_im);
-        if (low == high) {
-            out_re = sum_re;
-            out_im = sum_im;
-        } else {
-            const auto here = V::one_where_eq(interval, V::set(k));
-            out_re = V::fma(here, sum_re, out_re);
-            out_im = V::fma(here, sum_im, out_im);
-        }
+        weighed<V, W>(weight, re + from * apart, im + from * apart, apart, sum_re, sum_im);
+        const auto here = V::one_where_eq(interval, V::set(k));
+        out_re = V::fma(here, sum_re, out_re);
+        out_im = V::fma(here, sum_im, out_im);
     }
 }
 
@@ -191,6 +213,115 @@ void smooth_across(const Taps& taps, float* plane, std::int64_t stride, std::int
     for (; m < end; m += V::n) smooth_columns<V, 1>(taps, plane + m, stride, first, last, work);
 }
 
+// What a sub-image holds where a straight line on its plane crosses its arcs: nodes `low` on, in stretches of a block.
+struct Crossed {
+    std::int64_t low, stretches;
+};
+
+// Rooms of a line: what lies across rays, and the same filtered along the line.
+struct LineRooms {
+    float *line_re, *line_im, *even_re, *even_im;
+    std::int64_t room;
+
+    LineRooms(float* work, std::int64_t room)
+        : line_re(work), line_im(work + room), even_re(work + 2 * room), even_im(work + 3 * room), room(room) {}
+};
+
+// A line at `angle` to the sub-image's first ray that passes its centre `aside` m off, between two slant ranges. It is
+// filtered here and not along the rays: the line crosses them.
+template <class V, int W>
+Crossed cross_rays(const Tree& tree, const SubImage& image, double angle, double aside, double first, double last,
+                   const LineRooms& rooms) {
+    using D = Double;
+    const Taps& taps = *tree.taps;
+    const Stretch<V> stretch;
+    const double step = image.step, height = image.centre[2] - image.plane;
+    const int half = taps.half;
+    std::int64_t low = nearest_below(first / step) - W / 2 - half;
+    low = low < image.i0 ? image.i0 : low;
+    low -= (low - image.i0) % 16;  // rows begin on lines of the cache
+    const std::int64_t high = nearest_below(last / step) + W / 2 + 2 + half;
+    std::int64_t stretches = (high - low + block - 1) / block;
+    const std::int64_t there = (image.stride - (low - image.i0)) / block, fit = rooms.room / block;
+    stretches = stretches > there ? there : stretches;
+    stretches = stretches > fit ? fit : stretches;
+    if (stretches <= 0) return {low, 0};
+    Curves place;
+    for (std::int64_t s = 0; s < stretches; s += tile_rows) {
+        const int some = static_cast<int>(stretches - s < tile_rows ? stretches - s : tile_rows);
+        for (int i = 0; i < some; i += D::n) {
+            D::vec value[5];
+            alignas(64) double at[D::n];
+            for (int j = 0; j < 5; ++j) {
+                for (int l = 0; l < D::n; ++l) {
+                    const double node =
+                        static_cast<double>(low + (s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2;
+                    at[l] = node * step;
+                }
+                const auto range = D::load(at);
+                const auto ground2 = D::sub(D::mul(range, range), D::set(height * height));
+                // guard nodes nearer than the foot see what they like, within the arcsine's reach
+                value[j] = arcsine(D::mul(D::set(aside), D::inverse_root(D::max(ground2, D::set(9 * aside * aside)))));
+            }
+            curve(tree.nodes, value, 1 / image.dangle, place, i);
+        }
+        for (int i = 0; i < some; ++i) {
+            const double middle = place.middle[i] + angle / image.dangle - 0.5;
+            const std::int64_t base = nearest_below(middle + 0.5);
+            const auto rest = V::set(static_cast<float>(middle - static_cast<double>(base)));
+            const std::int64_t to = (s + i) * block, column = low + to - image.i0;
+            double interval;
+            if (one_interval(place, i, middle - static_cast<double>(base), interval)) {
+                std::int64_t ray = base + static_cast<std::int64_t>(interval) - (W / 2 - 1);
+                ray = ray < 0 ? 0 : ray > image.rays - W ? image.rays - W : ray;
+                const auto rest_here = V::set(static_cast<float>(middle - static_cast<double>(base) - interval));
+                const float *a = image.re + ray * image.stride + column, *b = image.im + ray * image.stride + column;
+                for (int m = 0; m < block; m += V::n) {
+                    typename V::vec re, im;
+                    read_here<V, W>(taps, V::add(follow<V>(place, i, stretch.x[m / V::n]), rest_here), a + m, b + m,
+                                    image.stride, re, im);
+                    V::store(rooms.line_re + to + m, re);
+                    V::store(rooms.line_im + to + m, im);
+                }
+                continue;
+            }
+            for (int m = 0; m < block; m += V::n) {
+                const auto position = V::add(follow<V>(place, i, stretch.x[m / V::n]), rest);
+                typename V::vec re, im;
+                read_taps<V, W>(taps, position, base - (W / 2 - 1), 0, image.rays - W, image.re + column + m,
+                                image.im + column + m, image.stride, re, im);
+                V::store(rooms.line_re + to + m, re);
+                V::store(rooms.line_im + to + m, im);
+            }
+        }
+    }
+    const std::int64_t length = stretches * block;
+    smooth<V>(taps, rooms.line_re + half, rooms.even_re + half, length - 2 * half);
+    smooth<V>(taps, rooms.line_im + half, rooms.even_im + half, length - 2 * half);
+    return {low, stretches};
+}
+
+// What a beam's taper leaves of a trace at weight_nodes places of several stretches of nodes.
+template <class V>
+struct Shine {
+    alignas(64) double x[weight_nodes][tile_rows], y[weight_nodes][tile_rows];
+    double z;
+
+    void operator()(const Trace& trace, const Light& light, int rows, int count, Levels<V>& out) const {
+        using D = Double;
+        alignas(64) float at[weight_nodes][tile_rows];
+        for (int j = 0; j < weight_nodes; ++j) {
+            for (int r = 0; r < rows; r += D::n) {
+                const D::vec away[3] = {D::sub(D::load(x[j] + r), D::set(trace.tx[0])),
+                                        D::sub(D::load(y[j] + r), D::set(trace.tx[1])), D::set(z - trace.tx[2])};
+                D::vec counts;
+                D::store(at[j] + r, brightness(trace, light, away, counts, false));
+            }
+        }
+        levels<V>(at, rows, count, out);
+    }
+};
+
 template <class V, int W>
 void merge_taps(const MergeJob& job) {
     using D = Double;
@@ -206,15 +337,18 @@ void merge_taps(const MergeJob& job) {
     const double angle = parent.angle0 + static_cast<double>(job.ray) * parent.dangle, step = parent.step;
     const double ex = ::cos(angle), ey = ::sin(angle), height = parent.centre[2] - parent.plane;
     const double start = static_cast<double>(parent.i0 + begin) * step;
-    float *const line_re = job.work, *const line_im = line_re + job.room, *const even_re = line_im + job.room,
-                 *const even_im = even_re + job.room;
+    const LineRooms rooms(job.work, job.room);
     // sums grow where they stay; the last vectors run on into what nobody reads
     const std::int64_t row = job.ray * parent.stride + begin;
     float *const sum_re = parent.re + row, *const sum_im = parent.im + row;
     const int half = taps.half;
     bool fresh = !job.add;
+    Shine<V> shine;
+    shine.z = parent.plane;
+    Levels<V> level;
+    const auto lane = lanes<V>();
     const auto wave = V::set(static_cast<float>(tree.wave * step));
-    Curves place, drift;
+    Curves drift;
     for (std::int64_t c = 0; c < job.n_child; ++c) {
         const SubImage& child = job.children[c];
         const double vx = parent.centre[0] - child.centre[0], vy = parent.centre[1] - child.centre[1];
@@ -225,71 +359,11 @@ void merge_taps(const MergeJob& job) {
             const double y = ground_of(range, height) + along;
             return ::sqrt(y * y + aside * aside + child_height * child_height);
         };
-        std::int64_t low = nearest_below(seen(start) / step) - W / 2 - half;
-        low = low < child.i0 ? child.i0 : low;
-        const std::int64_t high =
-            nearest_below(seen(start + static_cast<double>(count - 1) * step) / step) + W / 2 + 2 + half;
-        // along the child's rows: what it holds where the parent's ray crosses them
-        std::int64_t stretches = (high - low + block - 1) / block;
-        const std::int64_t there = (child.stride - (low - child.i0)) / block, fit = job.room / block;
-        stretches = stretches > there ? there : stretches;
-        stretches = stretches > fit ? fit : stretches;
+        const auto [low, stretches] = cross_rays<V, W>(tree, child, angle - child.angle0, aside, seen(start),
+                                                       seen(start + static_cast<double>(count - 1) * step), rooms);
         if (stretches <= 0) continue;
-        for (std::int64_t s = 0; s < stretches; s += tile_rows) {
-            const int some = static_cast<int>(stretches - s < tile_rows ? stretches - s : tile_rows);
-            for (int i = 0; i < some; i += D::n) {
-                D::vec value[5];
-                alignas(64) double at[D::n];
-                for (int j = 0; j < 5; ++j) {
-                    for (int l = 0; l < D::n; ++l) {
-                        const double node =
-                            static_cast<double>(low + (s + i + l) * block) + (tree.nodes.at[j] + 1) * (block - 1) / 2;
-                        at[l] = node * step;
-                    }
-                    const auto range = D::load(at);
-                    const auto ground2 = D::sub(D::mul(range, range), D::set(child_height * child_height));
-                    // guard nodes nearer than the foot see what they like, within the arcsine's reach
-                    const auto ground = D::sqrt(D::max(ground2, D::set(9 * aside * aside)));
-                    value[j] = arcsine(D::div(D::set(aside), ground));
-                }
-                curve(tree.nodes, value, 1 / child.dangle, place, i);
-            }
-            for (int i = 0; i < some; ++i) {
-                const double middle = place.middle[i] + (angle - child.angle0) / child.dangle - 0.5;
-                const std::int64_t base = nearest_below(middle + 0.5);
-                const auto rest = V::set(static_cast<float>(middle - static_cast<double>(base)));
-                const std::int64_t to = (s + i) * block, column = low + to - child.i0;
-                double interval;
-                if (one_interval(place, i, middle - static_cast<double>(base), interval)) {
-                    std::int64_t ray = base + static_cast<std::int64_t>(interval) - (W / 2 - 1);
-                    ray = ray < 0 ? 0 : ray > child.rays - W ? child.rays - W : ray;
-                    const auto rest_here = V::set(static_cast<float>(middle - static_cast<double>(base) - interval));
-                    const float *a = child.re + ray * child.stride + column,
-                                *b = child.im + ray * child.stride + column;
-                    for (int m = 0; m < block; m += V::n) {
-                        typename V::vec re, im;
-                        read_here<V, W>(taps, V::add(follow<V>(place, i, stretch.x[m / V::n]), rest_here), a + m, b + m,
-                                        child.stride, re, im);
-                        V::store(line_re + to + m, re);
-                        V::store(line_im + to + m, im);
-                    }
-                    continue;
-                }
-                for (int m = 0; m < block; m += V::n) {
-                    const auto position = V::add(follow<V>(place, i, stretch.x[m / V::n]), rest);
-                    typename V::vec re, im;
-                    read_taps<V, W>(taps, position, base - (W / 2 - 1), 0, child.rays - W, child.re + column + m,
-                                    child.im + column + m, child.stride, re, im);
-                    V::store(line_re + to + m, re);
-                    V::store(line_im + to + m, im);
-                }
-            }
-        }
+        const float *const even_re = rooms.even_re, *const even_im = rooms.even_im;
         // along the parent's ray, turned from the child's carrier to the parent's
-        const std::int64_t length = stretches * block;
-        // smoothed here and not on the child's own rays: the parent's ray crosses them
-        smooth<V>(taps, line_re + half, even_re + half, length - 2 * half);
-        smooth<V>(taps, line_im + half, even_im + half, length - 2 * half);
         for (std::int64_t s = 0; s * block < count; s += tile_rows) {
             const std::int64_t left = (count - s * block + block - 1) / block;
             const int some = static_cast<int>(left < tile_rows ? left : tile_rows);
@@ -303,11 +377,23 @@ void merge_taps(const MergeJob& job) {
                                     step;
                     }
                     const auto range = D::load(at), square = D::mul(range, range);
-                    const auto ground = D::sqrt(D::max(D::sub(square, D::set(height * height)), D::set(0.0)));
+                    const auto ground = D::root(D::max(D::sub(square, D::set(height * height)), D::set(0.0)));
                     const auto y = D::add(ground, D::set(along));
-                    where[j] = D::sub(D::sqrt(D::fma(y, y, D::set(away2))), range);
+                    where[j] = D::sub(D::root(D::fma(y, y, D::set(away2))), range);
                 }
                 curve(tree.nodes, where, 1 / step, drift, i);
+            }
+            if (job.lit) {
+                for (int j = 0; j < weight_nodes; ++j) {
+                    for (int i = 0; i < tile_rows; ++i) {
+                        const double node = static_cast<double>((s + (i < some ? i : 0)) * block) +
+                                            j * (block - 1.0) / (weight_nodes - 1);
+                        const double ground = ground_of(start + node * step, height);
+                        shine.x[j][i] = parent.centre[0] + ground * ex;
+                        shine.y[j][i] = parent.centre[1] + ground * ey;
+                    }
+                }
+                shine(*job.lit[c], *job.light, some, block, level);
             }
             for (int i = 0; i < some; ++i) {
                 const std::int64_t to = (s + i) * block;
@@ -335,6 +421,7 @@ void merge_taps(const MergeJob& job) {
                                         even_re, even_im, 1, re, im);
                     const auto ph = V::fma(moved, wave, turned);
                     phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
+                    if (job.lit) weigh<V>(level, m / V::n, i, lane, sine, cosine);
                     if (fresh) {
                         V::store(sum_re + column, V::fnma(im, sine, V::mul(re, cosine)));
                         V::store(sum_im + column, V::fma(im, cosine, V::mul(re, sine)));
@@ -348,11 +435,11 @@ void merge_taps(const MergeJob& job) {
     }
     for (std::int64_t m = 0; fresh && m < count; ++m) sum_re[m] = sum_im[m] = 0;
     if (!job.smooth) return;
-    smooth<V>(taps, sum_re + half, line_re, count - 2 * half);
-    smooth<V>(taps, sum_im + half, line_im, count - 2 * half);
+    smooth<V>(taps, sum_re + half, rooms.line_re, count - 2 * half);
+    smooth<V>(taps, sum_im + half, rooms.line_im, count - 2 * half);
     for (std::int64_t m = 0; m < count - 2 * half; ++m) {
-        sum_re[half + m] = line_re[m];
-        sum_im[half + m] = line_im[m];
+        sum_re[half + m] = rooms.line_re[m];
+        sum_im[half + m] = rooms.line_im[m];
     }
 }
 

@@ -29,11 +29,30 @@ struct Drifts {
 struct LeafPlaces {
     alignas(64) double x[5][tile_rows], y[5][tile_rows];
     double own[5], z;
+    // ways out of the trace `last`, and their squares
+    alignas(64) double there[5][tile_rows], there2[5][tile_rows];
+    const Trace* last = nullptr;
+
+    void look_out(const Trace& trace, int rows) {
+        const bool same =
+            last && last->tx[0] == trace.tx[0] && last->tx[1] == trace.tx[1] && last->tx[2] == trace.tx[2];
+        last = &trace;
+        if (same) return;
+        using D = Double;
+        for (int j = 0; j < 5; ++j) {
+            for (int r = 0; r < rows; r += D::n) {
+                const auto square = way_out(trace, D::load(x[j] + r), D::load(y[j] + r), D::set(z));
+                D::store(there2[j] + r, square);
+                D::store(there[j] + r, D::root(square));
+            }
+        }
+    }
 };
 
 template <class V, Kind K>
-void drifts(const LeafJob& job, const Trace& trace, const LeafPlaces& at, double ratio, Drifts<V>& out) {
+void drifts(const LeafJob& job, const Trace& trace, LeafPlaces& at, double ratio, Drifts<V>& out) {
     using D = Double;
+    at.look_out(trace, job.rows);
     const Model& model = job.terms->model;
     const double scale = model.fs * model.rate;
     // half an interval: positions are counted from the intervals' middles
@@ -43,7 +62,8 @@ void drifts(const LeafJob& job, const Trace& trace, const LeafPlaces& at, double
     for (int r = 0; r < job.rows; r += D::n) {
         D::vec value[5];
         for (int j = 0; j < 5; ++j) {
-            const auto tau = delay<K>(trace, model.c, D::load(at.x[j] + r), D::load(at.y[j] + r), D::set(at.z));
+            const auto tau = delay_from<K>(trace, model.c, D::load(at.there[j] + r), D::load(at.there2[j] + r),
+                                           D::load(at.x[j] + r), D::load(at.y[j] + r), D::set(at.z));
             value[j] = D::fma(tau, D::set(scale), D::set(-at.own[j]));
         }
         for (int q = 1; q < 5; ++q) {
@@ -204,20 +224,20 @@ void add_breaking(const LeafJob& job, const float* table, const Phase<V, 6>& pha
 // Weights of a leaf's traces for a beam that fades, along all rays; traces of a ping have the same.
 template <class V>
 struct Fading {
-    alignas(64) double x[weight_nodes][tile_rows], y[weight_nodes][tile_rows];
-    double z;
+    Shine<V> shine;
     int count;
     const Trace* last = nullptr;
 
-    Fading(const LeafJob& job, const double* cosine, const double* sine) : z(job.image->plane), count(job.count) {
+    Fading(const LeafJob& job, const double* cosine, const double* sine) : count(job.count) {
         const SubImage& image = *job.image;
+        shine.z = image.plane;
         const int width = job.count > least_width ? job.count : least_width;
         for (int j = 0; j < weight_nodes; ++j) {
             const double node = static_cast<double>(image.i0 + job.begin) + j * (width - 1.0) / (weight_nodes - 1);
             const double ground = ground_of(node * image.step, image.centre[2] - image.plane);
             for (int r = 0; r < tile_rows; ++r) {
-                x[j][r] = image.centre[0] + ground * cosine[r];
-                y[j][r] = image.centre[1] + ground * sine[r];
+                shine.x[j][r] = image.centre[0] + ground * cosine[r];
+                shine.y[j][r] = image.centre[1] + ground * sine[r];
             }
         }
     }
@@ -232,17 +252,7 @@ struct Fading {
     void operator()(const Trace& trace, const Light& light, int rows, Levels<V>& out) {
         if (last && alike(trace, *last)) return;
         last = &trace;
-        using D = Double;
-        alignas(64) float at[weight_nodes][tile_rows];
-        for (int j = 0; j < weight_nodes; ++j) {
-            for (int r = 0; r < rows; r += D::n) {
-                const D::vec away[3] = {D::sub(D::load(x[j] + r), D::set(trace.tx[0])),
-                                        D::sub(D::load(y[j] + r), D::set(trace.tx[1])), D::set(z - trace.tx[2])};
-                D::vec counts;
-                D::store(at[j] + r, brightness(trace, light, away, counts, false));
-            }
-        }
-        levels<V>(at, rows, count, out);
+        shine(trace, light, rows, count, out);
     }
 };
 
@@ -275,7 +285,7 @@ void leaf_traces(LeafJob& job) {
     Runs<float> sums(job.re, job.im, rows, model.run);
     Drifts<V> drift;
     Levels<V> level;
-    const bool fades = terms.light.terms > 0;
+    const bool fades = job.fades;
     Fading<V> fading(job, cosine, sine);
     drift.level = job.weights || fades ? &level : nullptr;
     const int used = (job.count + V::n - 1) / V::n;

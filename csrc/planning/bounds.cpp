@@ -49,7 +49,8 @@ double held_across(double across, double rate, const Fading& fading) {
         double sum = 4 / (5 * std::pow(last, 5));
         for (int i = 0; i < steps; ++i) {
             const double y = (i + 0.5) / steps;
-            sum += step * std::pow(1.2 * y, 4) / std::pow(first + step * (i + 0.5), 6);
+            const double square = 1.44 * y * y, at = first + step * (i + 0.5), cube = at * at * at;
+            sum += step * square * square / (cube * cube);
         }
         return std::sqrt(8 * sum / weight) * jump / std::pow(2 * pi, 3);
     };

@@ -25,8 +25,11 @@ struct Costs {
 
 const Costs& costs_of(const char* isa);
 
+constexpr double line_cost = 0.35;      // of a pixel read alone: one of a line that is read whole
 constexpr double relief_cost = 2.0;     // times as long as from their plane: pixels read off it
 constexpr double tree_seconds = 0.003;  // of a tree that threads do not share, its planning included
+// Trees are judged as on so many threads, which do not share all of their work: the image is the same for any number.
+constexpr double judged_threads = 2;
 constexpr double arc_ns = 40;           // of a pixel's view where each has its own weight
 constexpr double plan_seconds = 0.003;  // of planning any trees at all
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "planning/crossings.hpp"
 #include "planning/fates.hpp"
 
 namespace pysas {
@@ -144,7 +145,7 @@ struct ForestMaker {
     // For the highest frequency along rays, cycles a metre: tables have as many intervals to a sample.
     Rate rate_for(double along) const {
         const Model& model = scene.survey.model;
-        return simple_rate(model.c * layout.taps.rate * layout.spare * along / model.fs);
+        return simple_rate(model.c * layout.taps.rate * layout.spare * (1 + layout.crossing) * along / model.fs);
     }
 
     // Trees with `rate` nodes per sample, and the highest frequency along their rays; nothing where they have more than
@@ -161,17 +162,26 @@ struct ForestMaker {
         Share share;
         for (const Layer& layer : layers) {
             const Tiled& tiled = layer.tiled;
-            Section section{tiled.begin,   tiled.end,    tiled.flat,   layer.plane(),
-                            layer.heights, layer.number, tiled.pixels, {}};
+            Section section{tiled.begin,
+                            tiled.end,
+                            tiled.flat,
+                            layer.plane(),
+                            layer.heights,
+                            layer.number,
+                            tiled.pixels,
+                            tiled.lines ? tiled.lines->stretch : 0,
+                            {}};
             for (std::size_t g = 0; g < groups.size(); ++g) {
                 poll();
                 const Seen& seen = layer.seen[g];
                 if (pixels_of(tiled.pixels, seen.fates.read) + pixels_of(tiled.pixels, seen.fates.direct) == 0)
                     continue;
                 const Point& axis = groups[g].axis;
-                GroupTree tree{groups[g].traces, seen.fates.read, seen.fates.direct, {}, {axis.x, axis.y, axis.z}};
+                GroupTree tree{groups[g].traces, seen.fates.read, seen.fates.direct, {}, -1, {axis.x, axis.y, axis.z}};
                 if (!seen.readings.empty() && !make_tree(tree, groups[g], layer, seen, step, left, along)) return {};
                 if (!tree.levels.empty()) widen(tree, step, out);
+                if (!tree.levels.empty() && tiled.flat && tiled.lines && layout.crossing > 0)
+                    choose_reads(tree, groups[g], tiled, *tiled.lines, layout.crossing);
                 if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, seen.fates);
                 out.longest = std::max(out.longest, groups[g].extent);
                 ++out.count;
@@ -194,6 +204,9 @@ struct ForestMaker {
         along = std::max(along, below.along);
         tree.traces = std::move(below.traces);
         tree.levels = std::move(below.levels);
+        // of levels from the top, the one below those that have weights
+        const auto lit = static_cast<std::size_t>(lit_levels(layout.fans));
+        if (lit < tree.levels.size()) tree.lit = static_cast<int>(tree.levels.size() - 1 - lit);
         return true;
     }
 
@@ -313,7 +326,10 @@ Work work_of(const Forest& forest) {
             work.leaf_nodes += nodes(0);
             work.leaf_terms += nodes(0) * static_cast<double>(traces) / count(0);
             for (std::size_t i = 1; i < tree.levels.size(); ++i) work.merged += nodes(i) * count(i - 1) / count(i);
-            work.read += static_cast<double>(pixels_of(section.pixels, tree.read));
+            for (std::size_t i = 0; i < tree.read.size(); ++i) {
+                const double pixels = tree.read[i] ? static_cast<double>(section.pixels[i]) : 0;
+                work.read += tree.read[i] > by_pixels ? line_cost * pixels : pixels;
+            }
         }
     }
     return work;

@@ -25,8 +25,8 @@ struct Served {
 // cost.
 Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near, double relief);
 
-// What trees do, each as often as a plane asks: terms and nodes of leaves, (node, child) pairs merged, pixels read,
-// traces prepared.
+// What trees do, each as often as a plane asks: terms and nodes of leaves, (node, child) pairs merged, pixels read one
+// by one, traces prepared.
 struct Work {
     double leaf_terms = 0, leaf_nodes = 0, merged = 0, read = 0;
     std::int64_t traces = 0;

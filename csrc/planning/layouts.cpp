@@ -9,6 +9,7 @@
 #include "core/light.hpp"
 #include "core/polynomials.hpp"
 #include "planning/bounds.hpp"
+#include "planning/crossings.hpp"
 #include "planning/draw.hpp"
 #include "planning/subapertures.hpp"
 #include "planning/tiles.hpp"
@@ -16,6 +17,7 @@
 namespace pysas {
 namespace {
 
+constexpr double most_crossing = 0.045;  // rays that lines of pixels may cross from node to node
 constexpr double held = 0.45;  // cycles a sample: nodes for as much hold all that W passes, as taps fail slowly
 constexpr std::int64_t sampled = 24, tracked = 64, paced = 256;  // rows and columns, pings that are looked at
 
@@ -25,20 +27,25 @@ using Places = std::vector<Point>;  // seen from above
 struct Track {
     Places at;
     std::vector<const Trace*> trace;
+    double array = 0;  // length of a ping's phase centres at most, m
 
     explicit Track(const Scene& scene) {
         const double delay = scene.reception();
         const std::int64_t channels = scene.survey.channels;
         for (std::int64_t first = 0; first < scene.traces(); first += channels) {
-            Point sum;
+            Point sum, begin;
             int count = 0;
+            double away = 0;
             for (std::int64_t i = first; i < first + channels; ++i) {
                 if (!scene.heard[static_cast<std::size_t>(i)]) continue;
                 const Trace& one = scene.survey.traces[static_cast<std::size_t>(i)];
-                if (count++ == 0) trace.push_back(&one);
-                sum = sum + 0.5 * (point(one.tx) + point(one.rx) + delay * point(one.velocity));
+                const Point centre = 0.5 * (point(one.tx) + point(one.rx) + delay * point(one.velocity));
+                if (count++ == 0) trace.push_back(&one), begin = centre;
+                sum = sum + centre;
+                away = std::max(away, length(centre - begin));
             }
             if (count > 0) at.push_back({sum.x / count, sum.y / count, 0});
+            array = std::max(array, away);
         }
     }
 };
@@ -106,11 +113,13 @@ std::vector<double> lengths_of(const Places& track, const Sample& sample) {
 // The image from the middle one of groups of at most `length` m.
 struct Sight {
     double length, groups;
-    double lit;     // share of the pixels that its beams light
-    double served;  // share of these that are far enough away along the ground
-    double area;    // of these, over their ground distances, m
-    double spread;  // of their bearings, rad
-    double depth;   // of their ground distances, m
+    double lit;                   // share of the pixels that its beams light
+    double served;                // share of these that are far enough away along the ground
+    double area;                  // of these, over their ground distances, m
+    double spread;                // of their bearings, rad
+    std::vector<double> turning;  // of lines of pixels there, rad a metre of range, sorted
+    double depth;                 // of their ground distances, m
+    double pings, array;          // pings in all; length of one's phase centres, m
 };
 
 // Mean distance between two edges of a sample, m; a single line is as wide as it is dense.
@@ -123,13 +132,13 @@ double extent_of(const Sample& sample, bool down) {
     return sum > 0 ? sum / static_cast<double>(count) : 0.01;
 }
 
-std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Track& track, double area, double path,
-                              double longest) {
+std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Track& track, const Parallel* lines,
+                              double area, double path, double longest) {
     const Point& centre = track.at[track.at.size() / 2];
     const Trace& middle = *track.trace[track.at.size() / 2];
     const auto pixels = static_cast<double>(sample.at.size());
     double inverse = 0, least = HUGE_VAL, most = -HUGE_VAL, lit = 0;
-    std::vector<double> bearings;
+    std::vector<double> bearings, turns;
     std::complex<double> mean = 0;
     for (const Point& pixel : sample.at) {
         const Point away = pixel - point(middle.tx);
@@ -142,8 +151,12 @@ std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Tr
         most = std::max(most, ground);
         bearings.push_back(std::atan2(y, x));
         mean += std::polar(1.0, bearings.back());
+        if (!lines) continue;
+        const double height = middle.tx[2] - pixel.z, down = turning({x, y, 0}, lines->down, height);
+        turns.push_back(std::min(lines->stretch > 0 ? down : HUGE_VAL, turning({x, y, 0}, lines->step, height)));
     }
     if (bearings.empty()) return {};
+    std::sort(turns.begin(), turns.end());
     double left = HUGE_VAL, right = -HUGE_VAL;
     for (const double bearing : bearings) {
         const double turn = std::arg(std::polar(1.0, bearing - std::arg(mean)));
@@ -156,11 +169,14 @@ std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Tr
                  static_cast<double>(bearings.size()) / lit,
                  area * inverse / pixels,
                  right - left,
-                 most - least};
+                 std::move(turns),
+                 most - least,
+                 static_cast<double>(track.at.size()),
+                 track.array};
 }
 
 // By candidate length, those that serve any pixel.
-std::vector<Sight> sights_of(const Scene& scene) {
+std::vector<Sight> sights_of(const Scene& scene, const Parallel* lines) {
     const Track track(scene);
     if (track.at.empty()) return {};
     const Sample sample = sample_of(scene.pixels);
@@ -170,7 +186,7 @@ std::vector<Sight> sights_of(const Scene& scene) {
     const double area = extent_of(sample, true) * extent_of(sample, false);  // by its corners' spans
     std::vector<Sight> out;
     for (const double longest : lengths_of(track.at, sample)) {
-        if (auto sight = sight_of(scene, sample, track, area, path, longest)) out.push_back(*sight);
+        if (auto sight = sight_of(scene, sample, track, lines, area, path, longest)) out.push_back(*sight);
     }
     return out;
 }
@@ -179,23 +195,35 @@ std::vector<Sight> sights_of(const Scene& scene) {
 double seconds_of(const Scene& scene, const Sight& sight, const Layout& layout, const Costs& costs) {
     const Survey& survey = scene.survey;
     const double reach = 2 * layout.taps.reach(), width = layout.taps.taps.count;
-    const double rate = layout.taps.rate * layout.spare, half = survey.band * survey.model.fs;
+    const double rate = layout.taps.rate * layout.spare * (1 + layout.crossing), half = survey.band * survey.model.fs;
     const double step = survey.model.c / (4 * half * rate), shortest = survey.model.c / (survey.model.fc + half);
     const double mean = sight.area / std::max(sight.spread, 1e-9);  // length of a ray in the image
+    const auto apart = [&](double longest, bool fades) {
+        return std::min(widest_beam, pi / held_across(2 * pi * longest / shortest, layout.taps.rate,
+                                                      fades ? layout.fading : Fading{}));
+    };
+    bool fades = true;
     const auto nodes = [&](double longest) {
-        const double beam = std::min(widest_beam, pi / held_across(2 * pi * longest / shortest, rate, layout.fading));
+        const double beam = apart(longest, fades);
         return (sight.spread / beam + reach) *
                (std::min(mean + reach * beam * mean, sight.depth + mean) / step + reach);
     };
     double longest = layout.length, parts = 1, work = 0;
     for (const int fan : layout.fans) {
-        work += parts * nodes(longest) * fan * (costs.tree.merge[0] + costs.tree.merge[1] * width);
-        parts *= fan;
-        longest /= fan;
+        const double children = fan == by_ping ? std::max(1.0, sight.pings / sight.groups / parts) : fan;
+        work += parts * nodes(longest) * children * (costs.tree.merge[0] + costs.tree.merge[1] * width);
+        parts *= children;
+        if (fan == by_ping) fades = false;
+        longest = fan == by_ping ? sight.array : longest / fan;
     }
     const double traces = static_cast<double>(scene.audible) / sight.groups / parts;  // of a leaf
     work += nodes(longest) * parts * (traces * costs.tree.term + costs.tree.node);
-    const double read = costs.tree.read[0] + costs.tree.read[1] * width;
+    const auto crossed = static_cast<double>(std::upper_bound(sight.turning.begin(), sight.turning.end(),
+                                                              layout.crossing * apart(layout.length, true) / step) -
+                                             sight.turning.begin());
+    const double lines =
+        layout.crossing > 0 ? crossed / static_cast<double>(std::max<std::size_t>(sight.turning.size(), 1)) : 0;
+    const double read = (costs.tree.read[0] + costs.tree.read[1] * width) * (1 - (1 - line_cost) * lines);
     return 1e-9 * sight.groups * (work + static_cast<double>(scene.wanted) * sight.lit * sight.served * read);
 }
 
@@ -253,7 +281,7 @@ Faded faded_from(const Scene& scene, const Layout& layout, double height, double
                  band = 2 * scene.survey.band * model.fs / model.c;
     const double half = 31.5 * model.c / (4 * scene.survey.band * model.fs * layout.taps.rate);
     const double spare = (layout.spare - 1) * band, jump = pi * pi / (2 * width * width);
-    const auto levels = static_cast<double>(layout.fans.size() + 1);
+    const auto levels = static_cast<double>(lit_levels(layout.fans));
     double upright = 0;
     for (const Trace& trace : scene.survey.traces) upright = std::max(upright, std::abs(trace.axis[2]));
     const auto from = [&](double off, double a2) {  // of the largest a^2 that is allowed
@@ -278,25 +306,34 @@ Faded faded_from(const Scene& scene, const Layout& layout, double height, double
 
 }  // namespace
 
-std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs,
-                                                  double spare, double faded, double direct) {
-    std::optional<std::pair<Layout, double>> best;
-    double least = 0;
-    for (const Sight& sight : sights_of(scene)) {
+int lit_levels(const std::vector<int>& fans) {
+    const auto pings = std::find(fans.begin(), fans.end(), by_ping);
+    return static_cast<int>(pings - fans.begin()) + 1;
+}
+
+std::vector<Option> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs, const Parallel* lines,
+                             double spare, double faded, double direct) {
+    std::vector<Option> out;
+    const Beam& beam = scene.survey.model.beam;
+    for (const Sight& sight : sights_of(scene, lines)) {
+        const std::vector<double> crossings =
+            sight.turning.empty() ? std::vector<double>{0} : std::vector<double>{0, most_crossing};
+        std::optional<Option> best;
         for (const auto& [fans, taps] : kinds) {
-            const Beam& beam = scene.survey.model.beam;
-            const double each = faded / static_cast<double>(fans.size() + 1);
             const Fading fading =
-                faded > 0 ? Fading{beam.half_angle - beam.full_angle, beam.full_angle, each} : Fading{};
-            const Layout layout{sight.length, fans, taps, spare, fading, 0, 0, 0};
-            const double trees = seconds_of(scene, sight, layout, costs);
-            const double cost = trees + (1 - sight.served) * direct;
-            if (best && !(cost < least)) continue;
-            least = cost;
-            best = {layout, trees / sight.served};
+                faded > 0 ? Fading{beam.half_angle - beam.full_angle, beam.full_angle, faded / lit_levels(fans)}
+                          : Fading{};
+            for (const double crossing : crossings) {
+                const Layout layout{sight.length, fans, taps, spare, crossing, fading, 0, 0, 0};
+                const double trees = seconds_of(scene, sight, layout, costs);
+                const double cost = trees + (1 - sight.served) * direct;
+                if (!best || cost < best->cost) best = {layout, trees / sight.served, cost};
+            }
         }
+        if (best) out.push_back(*best);
     }
-    return best;
+    std::stable_sort(out.begin(), out.end(), [](const Option& a, const Option& b) { return a.cost < b.cost; });
+    return out;
 }
 
 Layout cleared(const Scene& scene, Layout layout, double height, double error, double merge, double ends, double ramp) {
@@ -305,20 +342,24 @@ Layout cleared(const Scene& scene, Layout layout, double height, double error, d
         const Trace& trace = scene.survey.traces[i];
         if (scene.heard[i]) baseline = std::max(baseline, length(point(trace.tx) - point(trace.rx)));
     }
-    double extent = layout.length;
+    const double array = 2 * Track(scene).array;  // its first channel need not be its end
+    double extent = layout.length, weighed = 0;
     std::vector<double> away;
     for (const int fan : layout.fans) {
-        const double part = extent / fan;
-        away.push_back(clear_of(scene, height, (extent - part) / 2, layout.taps.rate, merge));
+        const double part = fan == by_ping ? array : extent / fan, least = fan == by_ping ? 0 : part;
+        away.push_back(clear_of(scene, height, (extent - least) / 2, layout.taps.rate, merge));
+        if (fan == by_ping) weighed = extent;
         extent = part;
     }
+    if (weighed == 0) weighed = extent;
     away.push_back(clear_of(scene, height, (extent + baseline) / 2, layout.taps.rate, error));
     layout.clear = away.front();
     layout.apart = away.size() > 1 ? *std::max_element(away.begin() + 1, away.end()) : 0;
     if (scene.light.terms > 0) {
-        const auto [all, leaf] = faded_from(scene, layout, height, baseline, extent, ramp);
-        layout.clear = std::max(layout.clear, layout.fans.empty() ? std::max(all, leaf) : all);
-        layout.apart = std::max(layout.apart, layout.fans.empty() ? 0 : leaf);
+        const auto [all, leaf] = faded_from(scene, layout, height, baseline, weighed, ramp);
+        const bool top = lit_levels(layout.fans) == 1 && (layout.fans.empty() || layout.fans[0] == by_ping);
+        layout.clear = std::max(layout.clear, top ? std::max(all, leaf) : all);
+        layout.apart = std::max(layout.apart, top ? 0 : leaf);
     }
     layout.ends = layout.spare * scene.survey.band < held ? hushed(ends, scene.survey.band) : 0;
     return layout;

@@ -9,28 +9,42 @@
 #include "planning/costs.hpp"
 #include "planning/scene.hpp"
 #include "planning/taps.hpp"
+#include "planning/tiles.hpp"
 
 namespace pysas {
 
-// How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling; `clear`: slant range that
-// nodes must have from the centre of the longest group, `apart` from those of its parts, m; `ends`: samples that a
-// place must lie inside of records; `fading`: of beams, on each level.
+// Of fans: a part for each ping, which a beam's taper weighs as it is merged; none in leaves then.
+constexpr int by_ping = 0;
+
+// Levels that a beam's weights are on, of those with these fans: from the top down to what pings are merged into.
+int lit_levels(const std::vector<int>& fans);
+
+// How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling, and `crossing` beyond it:
+// the rays that lines of pixels may cross from node to node; `clear`: slant range that nodes must have from the centre
+// of the longest group, `apart` from those of its parts, m; `ends`: samples that a place must lie inside of records;
+// `fading`: of beams, on each level that has weights.
 struct Layout {
     double length;
     std::vector<int> fans;
     TapDesign taps;
-    double spare;
+    double spare, crossing;
     Fading fading;
     double clear, apart, ends;
 };
 
 using Kinds = std::vector<std::pair<std::vector<int>, TapDesign>>;
 
-// Of layouts of the `kinds` (fans, taps), that of the least predicted time, and its seconds on one thread if it served
-// all pixels; nothing where none serves any. What is not served costs its share of `direct`, s. `faded`: what a beam's
-// taper may be wrong by on all levels.
-std::optional<std::pair<Layout, double>> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs,
-                                                  double spare, double faded, double direct);
+// A layout, its predicted seconds on one thread if it served all pixels, and with what it does not serve.
+struct Option {
+    Layout layout;
+    double all, cost;
+};
+
+// Of layouts of the `kinds` (fans, taps), the cheapest of each length of group that serves any pixel, cheapest first.
+// What is not served costs its share of `direct`, s. `lines`: of the image, which may be read whole; or null. `faded`:
+// what a beam's taper may be wrong by on all levels.
+std::vector<Option> cheapest(const Scene& scene, const Kinds& kinds, const Costs& costs, const Parallel* lines,
+                             double spare, double faded, double direct);
 
 // A layout with the slant ranges that its nodes must have, whose sensors stand at most `height` up, and its distance
 // from records' ends. `error`: for the delays along leaves' rays; `merge`: for each merge; `ends`: for what a record's

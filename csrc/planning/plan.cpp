@@ -49,15 +49,23 @@ std::string trees_of(const Plan& plan) {
     std::string out = "  trees          " + std::to_string(planned.count) + ", over groups of at most " +
                       number(planned.longest, 3) + " m, " + std::to_string(taps.taps.count) + " taps at " +
                       number(taps.rate, 3) + " x the band, nodes every " + number(planned.forest.step, 3) + " m\n";
-    out += "  factorised     " + fixed(100 * planned.share, 1) + " % of the terms, the rest summed directly\n";
     std::vector<const GroupTree*> trees;
     std::size_t planes = 0;
+    double read = 0, whole = 0;
     for (const Section& section : planned.forest.sections) {
         planes = std::max(planes, section.heights.size());
         for (const GroupTree& tree : section.trees) {
             if (!tree.levels.empty()) trees.push_back(&tree);
+            for (std::size_t i = 0; i < tree.read.size(); ++i) {
+                const auto pixels = static_cast<double>(section.pixels[i]);
+                read += tree.read[i] ? pixels : 0;
+                whole += tree.read[i] > by_pixels ? pixels : 0;
+            }
         }
     }
+    out += "  factorised     " + fixed(100 * planned.share, 1) + " % of the terms, the rest summed directly";
+    if (whole > 0) out += "; " + fixed(100 * whole / read, 0) + " % of the reads along lines";
+    out += "\n";
     if (planes > 1)
         out += "  relief         pixels read from " + std::to_string(planes) + " planes each, trees for all of them\n";
     if (trees.empty()) return out;

@@ -12,6 +12,7 @@
 #include "core/errors.hpp"
 #include "core/polynomials.hpp"
 #include "planning/bounds.hpp"
+#include "planning/crossings.hpp"
 #include "planning/words.hpp"
 
 namespace pysas {
@@ -30,9 +31,8 @@ constexpr double farthest = 1e9;
 constexpr double tree_tol = 3e-5;  // below it float sub-images would round too much
 constexpr double spare = 1.05;     // sampling beyond the band's own limit, which a short group's band overlaps a little
 constexpr double finest = 8;       // nodes per sample, at most
-// Trees are judged as on so many threads, which do not share all of their work: the image is the same for any number.
-constexpr double judged_threads = 2;
 constexpr double longer_groups = 1.0 / 8;  // of a layout's groups: shorter ones are not tried
+constexpr std::size_t looked_at = 4;       // layouts
 constexpr char longer[] = "a tree would take longer";
 
 // width, rate and half length of the filters that a tree may use, cheapest first
@@ -41,10 +41,14 @@ struct Row {
     double rate;
     int half;
 };
-constexpr Row rows[] = {{6, 1.2, 8},  {6, 1.3, 8},   {6, 1.4, 8},  {6, 1.45, 8}, {6, 1.5, 8},
+constexpr Row rows[] = {{6, 1.2, 8},  {6, 1.3, 8},   {6, 1.33, 8}, {6, 1.4, 8},  {6, 1.45, 8}, {6, 1.5, 8},
                         {8, 1.4, 10}, {8, 1.45, 10}, {8, 1.5, 10}, {8, 1.6, 10}, {8, 1.75, 10}};
 const std::vector<std::vector<int>> fans = {{},        {2},       {4},          {4, 2},      {4, 4},
                                             {4, 4, 2}, {4, 4, 4}, {4, 4, 4, 2}, {4, 4, 4, 4}};
+// the same where a beam's taper weighs pings as they are merged
+const std::vector<std::vector<int>> fans_of_pings = {{by_ping},    {by_ping, 2},    {by_ping, 4},
+                                                     {2, by_ping}, {2, by_ping, 2}, {2, by_ping, 4},
+                                                     {4, by_ping}, {4, by_ping, 2}, {4, by_ping, 4}};
 constexpr double most_merges = 4;
 
 // Designed once, when first asked for.
@@ -143,19 +147,36 @@ class Planner {
         out.image = tiles_of(s_, out.block);
         const bool flat = std::all_of(out.image.begin(), out.image.end(), [](const Tiled& t) { return t.flat; });
         out.relief = flat ? 0 : share_relief * tol;
+        const Parallel* lines = nullptr;
+        for (Tiled& tiled : out.image) {
+            if (out.block > 0 && tiled.flat)
+                tiled.lines = parallel_of(s_, tiled.begin, tiled.end, out.block, share_rounding * share);
+            if (tiled.lines && !lines) lines = &*tiled.lines;
+        }
         const bool fades = s_.light.terms > 0;
         const double fading = fades ? share_fading * tol : 0, ramp = fades ? share_ramp * tol : 0;
         const double bright = s_.brightness();  // which what weights are wrong by is relative to
         const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief - fading - ramp);
         if (kinds.empty()) return {{}, "no interpolation keeps tol", {}};
         const double direct = sum_seconds(s_, plain, costs_);
-        const auto found = cheapest(s_, kinds, costs_, spare, fading * bright, direct);
-        if (!found) return {{}, "pixels too near the track", {}};
-        if (found->second > most) return {{}, longer, "at least " + time(found->second)};
-        out.layout = clear(found->first, out);
-        const Served served = pysas::served(s_, out.image, out.layout, out.near, out.relief);
-        out.seconds = found->second * served.share * served.planes + direct * (1 - served.share);
-        out.trees = served.planes * served.groups;
+        const auto options = cheapest(s_, kinds, costs_, lines, spare, fading * bright, direct);
+        if (options.empty()) return {{}, "pixels too near the track", {}};
+        const double all = std::min_element(options.begin(), options.end(), [](const Option& a, const Option& b) {
+                               return a.all < b.all;
+                           })->all;
+        if (all > most) return {{}, longer, "at least " + time(all)};
+        // what groups of a length serve is known only once it is looked at
+        double least = infinite;
+        for (std::size_t i = 0; i < std::min(options.size(), looked_at); ++i) {
+            const Layout layout = clear(options[i].layout, out);
+            const Served served = pysas::served(s_, out.image, layout, out.near, out.relief);
+            const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
+            const std::int64_t count = served.planes * served.groups;
+            const double cost = seconds + judged_threads * tree_seconds * static_cast<double>(count);
+            if (!(cost < least)) continue;
+            least = cost;
+            out.layout = layout, out.seconds = seconds, out.trees = count;
+        }
         return {std::move(out), {}, {}};
     }
 
@@ -190,7 +211,9 @@ class Planner {
     // Numbers of parts with the cheapest taps each whose error, and that of records' ends, is at most `error`.
     Kinds kinds_within(double error) const {
         Kinds out;
-        for (const auto& parts : fans) {
+        auto tried = fans;
+        if (s_.light.terms > 0) tried.insert(tried.end(), fans_of_pings.begin(), fans_of_pings.end());
+        for (const auto& parts : tried) {
             for (std::size_t row = 0; row < std::size(rows); ++row) {
                 const double wrong = std::hypot(tree_error(taps_of(row), parts.size() + 1), share_ends * wish_.budget);
                 if (wrong > error) continue;

@@ -2,11 +2,20 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "planning/scene.hpp"
 
 namespace pysas {
+
+// The lines of a stretch of an image, as far apart as each other and steps alike, all on one plane: from pixel to pixel
+// along them, and from line to line; and the pixels of a column that one polynomial of positions holds for, 0 where no
+// column is read.
+struct Parallel {
+    Point step, down;
+    int stretch;
+};
 
 // Lines [begin, end) of an image in tiles of tile_rows lines and `block` pixels, row by row of tiles.
 struct Tiled {
@@ -18,6 +27,7 @@ struct Tiled {
     std::vector<Point> middle;   // of a sphere about each tile ...
     std::vector<double> radius;  // ... and its radius
     Numbers pixels;              // wanted, of each tile
+    std::optional<Parallel> lines;
 
     bool any() const;  // pixels wanted
 };

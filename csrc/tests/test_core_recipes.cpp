@@ -4,6 +4,7 @@
 #include <cmath>
 #include <complex>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "core/dispatch.hpp"
@@ -12,6 +13,7 @@
 #include "core/recipe.hpp"
 #include "core/summation.hpp"
 #include "core/transforms.hpp"
+#include "planning/crossings.hpp"
 #include "tests/check.hpp"
 
 namespace {
@@ -207,9 +209,55 @@ void only_what_is_compiled_runs() {
     CHECK(caught);
 }
 
+void names_of_sets() {
+    CHECK(kernels_for("auto").name == levels().back());
+    bool caught = false;
+    try {
+        kernels_for("mmx");
+    } catch (const Error& error) {
+        caught = error.code == Code::argument;
+    }
+    CHECK(caught);
+}
+
+// Lines that lead away from a group, and how fast rays cross them.
+void lines_lead_away() {
+    Survey survey{};
+    survey.traces.push_back({{0, -25, 5}, {0, -25, 5}, {}, {}, {}, 0, 0, 0});
+    survey.model = {1500, 100e3, 40e3, 1, 2999, {no_beam, 0, 0}, 0, 0};
+    survey.band = 0.375;
+    survey.single = true;
+    survey.channels = 1;
+    survey.weights.assign(1, 1.0);
+    Pixels pixels;
+    pixels.height = 130;
+    pixels.width = 100;
+    for (int line = 0; line < 130; ++line) {
+        pixels.first.insert(pixels.first.end(), {-1, 0.02 * line - 1.3, 0});
+        pixels.step.insert(pixels.step.end(), {0.02, 0, 0});
+    }
+    Pixels bent = pixels;
+    bent.first[3 * 64] += 1e-5;
+    const Scene scene(survey, pixels, {-1, -1.3, 0}, {0.98, 1.28, 0}),
+        other(survey, bent, {-1, -1.3, 0}, {0.98, 1.28, 0});
+    // as far apart as their pixels: columns may be as long as blocks, but where floats would round too much
+    const auto lines = parallel_of(scene, 0, 130, 64, 1e-3);
+    CHECK(lines && lines->stretch == 64);
+    CHECK(!parallel_of(scene, 0, 1, 64, 1e-3) && parallel_of(scene, 0, 130, 64, 1e-6)->stretch == 0);
+    CHECK(!parallel_of(other, 0, 130, 64, 1e-3) && parallel_of(other, 65, 130, 64, 1e-3));
+    CHECK(turning({0, 25, 0}, {0, 1, 0}, 5) == 0 && std::isinf(turning({0, 25, 0}, {1, 0, 0}, 5)));
+    // d(bearing)/d(slant range) of a column 2 m beside a centre 5 m up, by differences
+    const auto at = [](double y) { return std::pair(std::atan2(2, y), std::sqrt(4 + y * y + 25)); };
+    const auto low = at(24.999), high = at(25.001);
+    const double slope = (low.first - high.first) / (high.second - low.second);
+    CHECK(std::abs(turning({2, 25, 0}, {0, -1, 0}, 5) / slope - 1) < 1e-6);
+}
+
 }  // namespace
 
 void test_recipes() {
+    names_of_sets();
+    lines_lead_away();
     only_what_is_compiled_runs<float>();
     only_what_is_compiled_runs<double>();
     transforms_are_sums();

@@ -137,6 +137,7 @@ class _Stream:
         self.forward = 0  # 1 or -1 along x, once it is known
         self.given: int | None = None  # the image given away last
         self.reach = (-np.inf, np.inf)  # of the newest ping
+        self.room: ComplexArray = np.empty(0, dtype=np.complex64)
 
     def add(self, echoes: Echoes) -> None:
         """Image what a block lights."""
@@ -153,7 +154,7 @@ class _Stream:
         if low >= high:
             return
         grid = strip.grid(low, high - low)
-        image = plan(echoes, grid, **strip.options)(echoes.data)
+        image = plan(echoes, grid, **strip.options)(echoes.data, self._room(grid, echoes))
         for number in range(low // strip.columns, (high - 1) // strip.columns + 1):
             begin = number * strip.columns
             one = self.pending.get(number)
@@ -163,6 +164,12 @@ class _Stream:
             first, last = max(low, begin), min(high, begin + strip.columns)
             one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
             one.reports.append(_share(image.report, (last - first) / (high - low)))
+
+    def _room(self, grid: Grid, echoes: Echoes) -> ComplexArray:
+        """Where a block's image goes: the same memory from block to block, whose first touch takes as long as some sums."""
+        if self.room.size < grid.size or self.room.dtype != echoes.dtype:
+            self.room = np.empty(grid.size + grid.size // 8, dtype=echoes.dtype)
+        return self.room[: grid.size].reshape(grid.shape)
 
     def _left(self, low: int, high: int) -> tuple[int, int]:
         """Of columns low to high - 1 those of images that were not given away."""

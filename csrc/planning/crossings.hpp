@@ -1,0 +1,26 @@
+// Lines of pixels that lead away from a group, which are read from its sub-image as a whole.
+#pragma once
+
+#include <optional>
+
+#include "core/trees.hpp"
+#include "planning/scene.hpp"
+#include "planning/subapertures.hpp"
+#include "planning/tiles.hpp"
+
+namespace pysas {
+
+// Of lines [begin, end), if they are; `block` of their pixels have a polynomial, and `rounding` is what float positions
+// may be wrong by, relative.
+std::optional<Parallel> parallel_of(const Scene& scene, std::int64_t begin, std::int64_t end, int block,
+                                    double rounding);
+
+// How fast the bearing changes with the slant range along a line, rad a metre, at a place seen from a centre `height`
+// above; infinite where the line does not lead away.
+double turning(const Point& away, const Point& along, double height);
+
+// How tiles that a group's tree reads are read: along lines where these cross at most `crossing` rays from node to
+// node.
+void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, const Parallel& lines, double crossing);
+
+}  // namespace pysas
