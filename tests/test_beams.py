@@ -217,3 +217,32 @@ def test_phase_centres_keep_a_beams_shape():
         np.testing.assert_allclose(found.boresights, beam.boresights[:1], atol=1e-15)
         if beam.axis is not None:
             np.testing.assert_allclose(found.axes, beam.axes[:1], atol=1e-15)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("taper", [0.0, 0.5, 1.0])
+def test_side_lobes_along_the_track_are_those_of_the_taper(engine, taper):
+    """Of a track of even steps that sees a point from all of a beam: the transform of its weights over the angle.
+
+    With u = R tan(a) the sum over the track of w(a) exp(2j k (r(u - x) - r(u))) is the integral of
+    w(a) exp(2j k x sin(a)) da / cos(a)^2.
+    """
+    half, slant, band = np.deg2rad(7.5), 30.0, 6e3
+    u = np.arange(-5, 5.0001, 0.01)
+    tx = np.stack([u, 0 * u, 0 * u], axis=1)
+    start = 2 * slant / 1500 - 100 / 36e3
+    delay = 2 * np.hypot(u, slant)[:, None] / 1500
+    data = np.sinc(band * (start + np.arange(400) / 36e3 - delay)) * np.exp(-2j * np.pi * 100e3 * delay)
+    beam = pysas.Beam([0, 1, 0], 0.1, half, "fan", taper, [1, 0, 0])
+    echoes = pysas.Echoes(
+        data.astype(np.complex64), fs=36e3, fc=100e3, tx=tx, rx=tx, c=1500, t0=start, bandwidth=band, beam=beam
+    )  # fmt: skip
+    x = 0.004 * np.arange(-60, 61)
+    found = pysas.backproject(echoes, pysas.Grid.plane(x, [slant]), 1e-4, backend=engine).data[0]
+    angle = np.linspace(-half, half, 20001)
+    beyond = np.clip(np.abs(angle) - (1 - taper) * half, 0, None)
+    weight = np.cos(np.pi / 2 * beyond / (taper * half or 1)) ** 2 / np.cos(angle) ** 2
+    turns = 4 * np.pi * 100e3 / 1500 * x[:, None] * np.sin(angle)
+    theory = np.mean(weight * np.exp(1j * turns), axis=1)
+    assert pysas.metrics.pslr(found) == pytest.approx(pysas.metrics.pslr(theory), abs=0.15)
+    assert pysas.metrics.irw(found, 0.004) == pytest.approx(pysas.metrics.irw(theory, 0.004), rel=5e-3)

@@ -134,7 +134,34 @@ def test_pings_are_weighed_as_they_are_merged(pings, channels, half_angle):
     check(echoes, pysas.Grid.plane(X, Y), least=0.0)
 
 
-def test_threads_and_instruction_sets_agree():
+@pytest.mark.parametrize("beam", [None, 0.3])
+@pytest.mark.parametrize("turn", [0.0, np.pi / 2, 0.3])
+def test_images_on_both_sides_and_all_round(beam, turn):
+    """The widest gap between bearings may lie about a line's direction, where no ray is."""
+    echoes = survey(turn, 1.0, beam, pings=3, samples=1600)
+    echoes = echoes.replace(t0=0.008)
+    axis = np.arange(-24.0, 24.0, 0.04)
+    wanted = np.abs(np.stack(np.meshgrid(axis, axis))).max(axis=0) >= 9  # not what is near the track
+    for mask in (wanted, wanted & (np.abs(axis) >= 4)[:, None], wanted & (np.abs(axis) >= 4)):
+        grid = pysas.Grid.plane(axis, axis, mask=mask)
+        plan = pysas.plan(echoes, grid, 1e-2, "ffbp", backend="cpp")
+        image = plan(echoes.data)
+        pixels = np.random.default_rng(0).choice(np.flatnonzero(mask), 600, replace=False)
+        exact, level = pysas.reference.exact(echoes, grid, pixels)
+        off = np.linalg.norm(image.data.ravel()[pixels] - exact)
+        assert off <= 1e-2 * max(np.linalg.norm(exact), np.linalg.norm(level))
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-4])
+def test_lines_near_a_group_high_above(tol):
+    """There bearings turn too fast along a line for polynomials: what they miss is in the budget."""
+    echoes = survey(pings=4, channels=4, samples=500).replace(t0=0.02)
+    echoes = echoes.replace(tx=echoes.tx + [0, 0, 14.0], rx=echoes.rx + [0, 0, 14.0])
+    grid = pysas.Grid.plane(np.arange(-1.5, 1.5, 0.02), np.arange(5.0, 9.0, 0.02))
+    assert wrong(pysas.ffbp(echoes, grid, tol, backend="cpp"), echoes, grid) <= tol
+
+
+def test_threads_agree():
     echoes, grid = survey(0.0, 1.0, 0.2), pysas.Grid.plane(X, Y)
     assert along(pysas.plan(echoes, grid, 1e-3, "ffbp", backend="cpp")) > 0.3
     one = pysas.ffbp(echoes, grid, 1e-3, backend="cpp", threads=1).data

@@ -276,7 +276,7 @@ struct ReadJob {
     float *re, *im;
 };
 
-// Pixels first + m step, m < count, of a line on a sub-image's plane that leads away from its centre within 17 degrees,
+// Pixels first + m step, m < count, of a line on a sub-image's plane that leads away from its centre within 16 degrees,
 // their carrier given back. Positions are polynomials along `stretch` pixels. `work`: 4 rows of `room`, which holds
 // what lies between the line's ends and 4 blocks more; vectors of `re` and `im` run on.
 struct ColumnJob {

@@ -64,7 +64,9 @@ class Walk {
     void sum() {
         for (const Section& section : forest_.sections) {
             for (const GroupTree& tree : section.trees) sum(section, tree);
+            Stopwatch watch;
             read_waiting(section);
+            run_.totals.sum_seconds += watch.lap();
         }
     }
 

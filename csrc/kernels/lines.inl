@@ -42,8 +42,11 @@ void read_column(const ColumnJob& job) {
         const double y = along + static_cast<double>(pixel) * apart;
         return ::sqrt(y * y + away2);
     };
-    double angle = ::atan2(ey, ex) - image.angle0;
+    // of the line's middle pixel, whose bearing the rays hold; its direction may lie beside them all
+    const double half = along + static_cast<double>(job.count - 1) / 2 * apart;
+    double angle = ::atan2(half * ey + aside * ex, half * ex - aside * ey) - image.angle0;
     angle -= 2 * pi * ::floor((angle - (static_cast<double>(image.rays) * image.dangle - 2 * pi) / 2) / (2 * pi));
+    angle -= ::atan2(aside, half);
     const LineRooms rooms(job.work, job.room);
     const auto [low, stretches] = cross_rays<V, W>(tree, image, angle, aside, seen(0), seen(job.count - 1), rooms);
     if (stretches <= 0) {
@@ -83,13 +86,14 @@ void read_column(const ColumnJob& job) {
                 alignas(64) float each[V::n];
                 V::store(each, k);
                 const float first = each[0], last = each[V::n - 1];  // ranges grow
-                std::int64_t from = base + static_cast<std::int64_t>(first) - (W / 2 - 1);
+                // a node less and two more: places that rounding takes for neighbours'
+                std::int64_t from = base + static_cast<std::int64_t>(first) - (W / 2 - 1) - 1;
                 from = from < 0 ? 0 : from > most ? most : from;
-                const auto own = V::sub(k, V::set(first));
+                const auto own = V::sub(k, V::set(first - 1));
                 const float *re = rooms.even_re + from, *im = rooms.even_im + from;
                 typename V::vec weight[W], a, b, sine, cosine;
                 weigh<V, W>(taps, V::sub(n, k), weight);
-                const int reach = static_cast<int>(last - first) + W;
+                const int reach = static_cast<int>(last - first) + W + 2;
                 if (one && reach <= V::n)
                     read_line<V, W, one>(re, im, own, weight, a, b);
                 else if (two && reach <= 2 * V::n)

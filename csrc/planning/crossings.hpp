@@ -10,6 +10,8 @@
 
 namespace pysas {
 
+constexpr int least_stretch = 16;  // pixels of a line that one polynomial holds for: a vector's lanes
+
 // Of lines [begin, end), if they are; `block` of their pixels have a polynomial, and `rounding` is what float positions
 // may be wrong by, relative.
 std::optional<Parallel> parallel_of(const Scene& scene, std::int64_t begin, std::int64_t end, int block,
@@ -19,8 +21,8 @@ std::optional<Parallel> parallel_of(const Scene& scene, std::int64_t begin, std:
 // above; infinite where the line does not lead away.
 double turning(const Point& away, const Point& along, double height);
 
-// How tiles that a group's tree reads are read: along lines where these cross at most `crossing` rays from node to
-// node.
-void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, const Parallel& lines, double crossing);
+// How tiles that a group's tree reads are read: along lines where these cross at most `layout.crossing` rays from node
+// to node, and polynomials of the rays that they cross are wrong by at most `layout.positions` rad of phase.
+void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, const Parallel& lines, const Layout& layout);
 
 }  // namespace pysas

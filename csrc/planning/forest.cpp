@@ -15,7 +15,8 @@ constexpr std::int64_t judged_groups = 5, judged_tiles = 500;
 
 Geometry geometry_of(const Scene& scene) {
     const Survey& survey = scene.survey;
-    return {survey.traces.data(), nullptr, scene.traces(), survey.model, survey.band, scene.reception()};
+    return {survey.traces.data(), nullptr,     survey.channels,  scene.traces(),
+            survey.model,         survey.band, scene.reception()};
 }
 
 // Traces of each of the longest groups: of those that are heard and weigh anything.
@@ -169,7 +170,7 @@ struct ForestMaker {
                             layer.heights,
                             layer.number,
                             tiled.pixels,
-                            tiled.lines ? tiled.lines->stretch : 0,
+                            tiled.lines ? tiled.lines->column : 0,
                             {}};
             for (std::size_t g = 0; g < groups.size(); ++g) {
                 poll();
@@ -181,7 +182,7 @@ struct ForestMaker {
                 if (!seen.readings.empty() && !make_tree(tree, groups[g], layer, seen, step, left, along)) return {};
                 if (!tree.levels.empty()) widen(tree, step, out);
                 if (!tree.levels.empty() && tiled.flat && tiled.lines && layout.crossing > 0)
-                    choose_reads(tree, groups[g], tiled, *tiled.lines, layout.crossing);
+                    choose_reads(tree, groups[g], tiled, *tiled.lines, layout);
                 if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, seen.fates);
                 out.longest = std::max(out.longest, groups[g].extent);
                 ++out.count;

@@ -127,8 +127,8 @@ std::vector<Numbers> cut_track(const Geometry& geometry, const std::vector<Point
 std::vector<Numbers> split_by_ping(const Group& group, const Geometry& geometry) {
     const auto alike = [&](std::int64_t i, std::int64_t k) {
         const Trace &a = geometry.traces[i], &b = geometry.traces[k];
-        return std::equal(a.tx, a.tx + 3, b.tx) && std::equal(a.boresight, a.boresight + 3, b.boresight) &&
-               std::equal(a.axis, a.axis + 3, b.axis);
+        return i / geometry.channels == k / geometry.channels && std::equal(a.tx, a.tx + 3, b.tx) &&
+               std::equal(a.boresight, a.boresight + 3, b.boresight) && std::equal(a.axis, a.axis + 3, b.axis);
     };
     std::vector<Numbers> parts;
     for (const std::int64_t i : group.traces) {

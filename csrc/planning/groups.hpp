@@ -15,6 +15,7 @@ namespace pysas {
 struct Geometry {
     const Trace* traces;
     const std::int64_t* pings;
+    std::int64_t channels;  // of a ping, by which traces are counted
     std::int64_t count;
     Model model;
     double band;  // half the bandwidth, cycles per sample

@@ -152,8 +152,10 @@ std::optional<Sight> sight_of(const Scene& scene, const Sample& sample, const Tr
         bearings.push_back(std::atan2(y, x));
         mean += std::polar(1.0, bearings.back());
         if (!lines) continue;
-        const double height = middle.tx[2] - pixel.z, down = turning({x, y, 0}, lines->down, height);
-        turns.push_back(std::min(lines->stretch > 0 ? down : HUGE_VAL, turning({x, y, 0}, lines->step, height)));
+        const double height = middle.tx[2] - pixel.z;
+        const double down = lines->column < least_stretch ? HUGE_VAL : turning({x, y, 0}, lines->down, height),
+                     step = lines->line < least_stretch ? HUGE_VAL : turning({x, y, 0}, lines->step, height);
+        turns.push_back(std::min(down, step));
     }
     if (bearings.empty()) return {};
     std::sort(turns.begin(), turns.end());
@@ -324,7 +326,7 @@ std::vector<Option> cheapest(const Scene& scene, const Kinds& kinds, const Costs
                 faded > 0 ? Fading{beam.half_angle - beam.full_angle, beam.full_angle, faded / lit_levels(fans)}
                           : Fading{};
             for (const double crossing : crossings) {
-                const Layout layout{sight.length, fans, taps, spare, crossing, fading, 0, 0, 0};
+                const Layout layout{sight.length, fans, taps, spare, crossing, 0, fading, 0, 0, 0};
                 const double trees = seconds_of(scene, sight, layout, costs);
                 const double cost = trees + (1 - sight.served) * direct;
                 if (!best || cost < best->cost) best = {layout, trees / sight.served, cost};
@@ -357,7 +359,7 @@ Layout cleared(const Scene& scene, Layout layout, double height, double error, d
     layout.apart = away.size() > 1 ? *std::max_element(away.begin() + 1, away.end()) : 0;
     if (scene.light.terms > 0) {
         const auto [all, leaf] = faded_from(scene, layout, height, baseline, weighed, ramp);
-        const bool top = lit_levels(layout.fans) == 1 && (layout.fans.empty() || layout.fans[0] == by_ping);
+        const bool top = lit_levels(layout.fans) == 1;
         layout.clear = std::max(layout.clear, top ? std::max(all, leaf) : all);
         layout.apart = std::max(layout.apart, top ? 0 : leaf);
     }

@@ -20,14 +20,14 @@ constexpr int by_ping = 0;
 int lit_levels(const std::vector<int>& fans);
 
 // How a tree is cut: groups of at most `length` m, in parts of parts; `spare` of sampling, and `crossing` beyond it:
-// the rays that lines of pixels may cross from node to node; `clear`: slant range that nodes must have from the centre
-// of the longest group, `apart` from those of its parts, m; `ends`: samples that a place must lie inside of records;
-// `fading`: of beams, on each level that has weights.
+// the rays that lines of pixels may cross from node to node, and what polynomials of these may be wrong by, rad;
+// `clear`: slant range that nodes must have from the centre of the longest group, `apart` from those of its parts, m;
+// `ends`: samples that a place must lie inside of records; `fading`: of beams, on each level that has weights.
 struct Layout {
     double length;
     std::vector<int> fans;
     TapDesign taps;
-    double spare, crossing;
+    double spare, crossing, positions;
     Fading fading;
     double clear, apart, ends;
 };

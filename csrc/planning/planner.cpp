@@ -49,7 +49,7 @@ const std::vector<std::vector<int>> fans = {{},        {2},       {4},          
 const std::vector<std::vector<int>> fans_of_pings = {{by_ping},    {by_ping, 2},    {by_ping, 4},
                                                      {2, by_ping}, {2, by_ping, 2}, {2, by_ping, 4},
                                                      {4, by_ping}, {4, by_ping, 2}, {4, by_ping, 4}};
-constexpr double most_merges = 4;
+constexpr double most_merges = 5;  // reading lines is another
 
 // Designed once, when first asked for.
 const TapDesign& taps_of(std::size_t row) {
@@ -177,6 +177,7 @@ class Planner {
             least = cost;
             out.layout = layout, out.seconds = seconds, out.trees = count;
         }
+        if (!(least < infinite)) return {{}, "no layout has a cost", {}};
         return {std::move(out), {}, {}};
     }
 
@@ -226,7 +227,9 @@ class Planner {
 
     Layout clear(const Layout& layout, const Candidate& best) const {
         const double tol = wish_.budget;
-        return cleared(s_, layout, best.height, share_phase * best.share, share_positions * tol / most_merges,
+        Layout with = layout;
+        with.positions = share_positions * tol / most_merges;
+        return cleared(s_, with, best.height, share_phase * best.share, share_positions * tol / most_merges,
                        share_ends * tol, share_ramp * tol * s_.brightness());
     }
 
@@ -262,7 +265,7 @@ class Planner {
     Plan finish(std::shared_ptr<const Scene> scene, PlannedForest planned, Settings settings,
                 const Candidate& best) const {
         const double tol = wish_.budget;
-        const auto merges = static_cast<double>(planned.layout.fans.size());
+        const double merges = static_cast<double>(planned.layout.fans.size()) + (planned.layout.crossing > 0 ? 1 : 0);
         const double ends = planned.layout.ends > 0 ? share_ends * tol : 0;
         settings.errors.emplace_back("sub-images",
                                      std::hypot(tree_error(planned.layout.taps, planned.layout.fans.size() + 1), ends));

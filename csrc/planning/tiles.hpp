@@ -10,11 +10,11 @@
 namespace pysas {
 
 // The lines of a stretch of an image, as far apart as each other and steps alike, all on one plane: from pixel to pixel
-// along them, and from line to line; and the pixels of a column that one polynomial of positions holds for, 0 where no
-// column is read.
+// along them, and from line to line; and the pixels of a column and of a line that one polynomial of positions holds
+// for.
 struct Parallel {
     Point step, down;
-    int stretch;
+    int column, line;
 };
 
 // Lines [begin, end) of an image in tiles of tile_rows lines and `block` pixels, row by row of tiles.

@@ -242,8 +242,8 @@ void lines_lead_away() {
         other(survey, bent, {-1, -1.3, 0}, {0.98, 1.28, 0});
     // as far apart as their pixels: columns may be as long as blocks, but where floats would round too much
     const auto lines = parallel_of(scene, 0, 130, 64, 1e-3);
-    CHECK(lines && lines->stretch == 64);
-    CHECK(!parallel_of(scene, 0, 1, 64, 1e-3) && parallel_of(scene, 0, 130, 64, 1e-6)->stretch == 0);
+    CHECK(lines && lines->column == 64 && lines->line == 64);
+    CHECK(!parallel_of(scene, 0, 1, 64, 1e-3) && parallel_of(scene, 0, 130, 64, 1e-6)->column < least_stretch);
     CHECK(!parallel_of(other, 0, 130, 64, 1e-3) && parallel_of(other, 65, 130, 64, 1e-3));
     CHECK(turning({0, 25, 0}, {0, 1, 0}, 5) == 0 && std::isinf(turning({0, 25, 0}, {1, 0, 0}, 5)));
     // d(bearing)/d(slant range) of a column 2 m beside a centre 5 m up, by differences
