@@ -172,7 +172,8 @@ class Planner {
             const Served served = pysas::served(s_, out.image, layout, out.near, out.relief);
             const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
             const std::int64_t count = served.planes * served.groups;
-            const double cost = seconds + judged_threads * tree_seconds * static_cast<double>(count);
+            const double alone = judged_threads * tree_seconds * static_cast<double>(count);
+            const double cost = wish_.pay ? seconds + alone : -served.share;  // or as much as trees can do
             if (!(cost < least)) continue;
             least = cost;
             out.layout = layout, out.seconds = seconds, out.trees = count;
