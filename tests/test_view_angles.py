@@ -105,7 +105,7 @@ def test_a_tree_and_direct_sums_weigh_alike(engine, monkeypatch):
     echoes = survey(pings=200, turn=0.25)
     grid = pysas.Grid.plane(8 + 0.03 * np.arange(160), -1 + 0.05 * np.arange(40))
     image = pysas.ffbp(echoes, grid, tol=1e-2, weights=UNIFORM, backend=engine)
-    assert 0.1 < image.report.factorised_share < 0.95
+    assert 0.2 < image.report.factorised_share < 0.95
     assert error(image, exact(echoes, grid)) < 1e-2
 
 
