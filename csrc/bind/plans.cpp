@@ -142,6 +142,7 @@ class Planned {
         imaging_ = std::make_unique<Imaging>(pysas::plan(std::move(scene), wish, check));
     }
     const Plan& plan() const { return imaging_->plan(); }
+    void follow(const Planned& before) { imaging_->follow(*before.imaging_); }
     std::string describe(const std::string& shape, std::int64_t more) const { return plan().describe(shape, more); }
     std::string other() const {
         const Released gil;
@@ -211,6 +212,7 @@ void bind_plans(py::module_& m) {
         .def_property_readonly("memory", [](const Planned& self) { return self.plan().memory(); })
         .def("describe", &Planned::describe, "shape"_a, "more"_a)
         .def("other", &Planned::other, "The method that is not used: its predicted time, or why it cannot be.")
+        .def("follow", &Planned::follow, "before"_a, "Work in the memory that a plan before keeps.")
         .def("__call__", &Planned::image, "data"_a, "image"_a, "whole"_a, "tick"_a);
 }
 

@@ -50,7 +50,7 @@ class Direct {
           data_(data),
           image_(image),
           order_(used_of(run)),
-          tables_(run.recipe, data.shape[2], std::min(run.recipe.batch, static_cast<std::int64_t>(order_.size()))) {}
+          tables_(run, data.shape[2], std::min(run.recipe.batch, static_cast<std::int64_t>(order_.size()))) {}
 
     void sum() {
         if (run_.recipe.views)
@@ -195,8 +195,8 @@ class Direct {
 
 template <typename Sample, typename Pixel>
 Totals run(const Recipe& recipe, const View<const Sample, 3>& data, const std::uint8_t* used, double scale,
-           const View<Pixel, 2>& image, int threads, const Kernels& kernels, const Tick& tick) {
-    Execution run{recipe, used, scale, threads, kernels, Progress(tick)};
+           const View<Pixel, 2>& image, int threads, const Kernels& kernels, Workspace& work, const Tick& tick) {
+    Execution run{recipe, used, scale, threads, kernels, work, Progress(tick)};
     const auto count = static_cast<std::ptrdiff_t>(recipe.traces.size());
     if (std::all_of(used, used + count, [](std::uint8_t u) { return u == 0; })) return run.totals;
     if (recipe.narrow && recipe.forest) {
@@ -216,10 +216,10 @@ using Single = std::complex<float>;
 using Double = std::complex<double>;
 
 template Totals run(const Recipe&, const View<const Single, 3>&, const std::uint8_t*, double, const View<Single, 2>&,
-                    int, const Kernels&, const Tick&);
+                    int, const Kernels&, Workspace&, const Tick&);
 template Totals run(const Recipe&, const View<const Single, 3>&, const std::uint8_t*, double, const View<Double, 2>&,
-                    int, const Kernels&, const Tick&);
+                    int, const Kernels&, Workspace&, const Tick&);
 template Totals run(const Recipe&, const View<const Double, 3>&, const std::uint8_t*, double, const View<Double, 2>&,
-                    int, const Kernels&, const Tick&);
+                    int, const Kernels&, Workspace&, const Tick&);
 
 }  // namespace pysas

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "core/recipe.hpp"
+#include "core/room.hpp"
 
 namespace pysas {
 
@@ -50,6 +51,7 @@ struct Execution {
     double scale;
     int threads;
     const Kernels& kernels;
+    Workspace& work;
     Progress progress;
     Totals totals{};
 };

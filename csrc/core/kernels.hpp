@@ -172,6 +172,8 @@ struct TileJob {
     Real *re, *im;           // (rows, block), set to the sums
     std::int64_t evaluated;  // terms evaluated
     const Weights<Real>* weights;
+    double near;       // distance below which delays along lines so long are exact, m
+    int first, whole;  // of the pixels of lines that `weights` are of: the tile's first, and how many
 };
 
 // Interval k = phases m + phase lies (k + 1/2) step / phases samples after the first; its coefficients are sums over

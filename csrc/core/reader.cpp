@@ -123,7 +123,8 @@ void LowPassed<Real>::fill(const Kernels& kernels, const Batch<Sample>& batch, T
 }
 
 template <typename Real>
-Tables<Real>::Tables(const Recipe& recipe, std::int64_t n_sample, std::int64_t most) : recipe_(recipe) {
+Tables<Real>::Tables(Execution& run, std::int64_t n_sample, std::int64_t most) : recipe_(run.recipe) {
+    const Recipe& recipe = run.recipe;
     const Reader& reader = recipe.reader;
     if (reader.cut && (reader.wide || sizeof(Real) == 8)) double_.emplace(reader, n_sample);
     if (reader.cut && !double_) single_.emplace(reader, n_sample);
@@ -131,7 +132,7 @@ Tables<Real>::Tables(const Recipe& recipe, std::int64_t n_sample, std::int64_t m
     terms_.plane_stride =
         plane_stride(intervals_of(reader.samples(), reader.filter.rate()), terms_.degree, sizeof(Real));
     terms_.trace_stride = 2 * (terms_.degree + 1) * terms_.plane_stride;
-    table_ = Room<Real>(static_cast<std::size_t>(most * terms_.trace_stride));
+    table_ = Loan<Real>(run.work.of<Real>(), static_cast<std::size_t>(most * terms_.trace_stride));
     terms_.table = table_.get();
     terms_.trig = static_cast<int>(recipe.sine.size());
     std::copy(recipe.sine.begin(), recipe.sine.end(), terms_.sine);

@@ -45,7 +45,7 @@ template <typename Real>
 class Tables {
   public:
     // Room for `most` traces, whose records have `n_sample` samples.
-    Tables(const Recipe& recipe, std::int64_t n_sample, std::int64_t most);
+    Tables(Execution& run, std::int64_t n_sample, std::int64_t most);
     Tables(const Tables&) = delete;
 
     // Take traces `order`; tables of those that are not used are zero.
@@ -58,7 +58,7 @@ class Tables {
     void weigh(const std::int64_t* order, std::int64_t count);
 
     const Recipe& recipe_;
-    Room<Real> table_;
+    Loan<Real> table_;
     std::optional<LowPassed<float>> single_;
     std::optional<LowPassed<double>> double_;
     std::vector<Trace> traces_;

@@ -86,16 +86,18 @@ struct Recipe {
     const Forest* forest = nullptr;  // the caller keeps it
 };
 
+class Workspace;
+
 struct Totals {
     double prepare_seconds = 0, sum_seconds = 0;
     std::int64_t terms = 0;
 };
 
 // Add the traces `used` (by flat number) to `image`: (height, width), or (1, height width) where its pixels are points
-// and there is no forest. Samples are divided by `scale`, a power of two. `tick` is told the share done, and stops by
-// false.
+// and there is no forest. Samples are divided by `scale`, a power of two. What `work` holds is used again. `tick` is
+// told the share done, and stops by false.
 template <typename Sample, typename Pixel>
 Totals run(const Recipe& recipe, const View<const Sample, 3>& data, const std::uint8_t* used, double scale,
-           const View<Pixel, 2>& image, int threads, const Kernels& kernels, const Tick& tick);
+           const View<Pixel, 2>& image, int threads, const Kernels& kernels, Workspace& work, const Tick& tick);
 
 }  // namespace pysas

@@ -1,11 +1,14 @@
 // Memory for many numbers.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <mutex>
 #include <new>
 #include <utility>
+#include <vector>
 
 #if defined(__linux__)
 #include <sys/mman.h>
@@ -56,6 +59,76 @@ class Room {
 
     T* data_ = nullptr;
     std::size_t count_ = 0;
+};
+
+// Rooms that were given back, for who comes next: pages that were touched once need not be cleared again. All of a
+// room's numbers have been set, to what nobody may rely on.
+template <typename T>
+class Pool {
+  public:
+    Room<T> take(std::size_t count) {
+        const std::lock_guard<std::mutex> lock(guard_);
+        const auto least =
+            std::find_if(free_.begin(), free_.end(), [&](const auto& room) { return room.size() >= count; });
+        if (least != free_.end()) {
+            Room<T> out = std::move(*least);
+            free_.erase(least);
+            return out;
+        }
+        if (!free_.empty()) free_.pop_back();  // or rooms that are too small would pile up
+        return Room<T>(count + count / 8, true);
+    }
+    void give(Room<T>&& room) {
+        if (room.size() == 0) return;
+        const std::lock_guard<std::mutex> lock(guard_);
+        const auto behind =
+            std::find_if(free_.begin(), free_.end(), [&](const auto& other) { return other.size() >= room.size(); });
+        free_.insert(behind, std::move(room));
+    }
+
+  private:
+    std::mutex guard_;
+    std::vector<Room<T>> free_;  // by size
+};
+
+// A pool's room of at least `count` numbers, until this goes.
+template <typename T>
+class Loan {
+  public:
+    Loan() = default;
+    Loan(Pool<T>& pool, std::size_t count) : pool_(&pool), room_(pool.take(count)) {}
+    ~Loan() {
+        if (pool_) pool_->give(std::move(room_));
+    }
+    Loan(Loan&& other) noexcept : pool_(std::exchange(other.pool_, nullptr)), room_(std::move(other.room_)) {}
+    Loan& operator=(Loan other) noexcept {
+        std::swap(pool_, other.pool_);
+        std::swap(room_, other.room_);
+        return *this;
+    }
+
+    T* get() const { return room_.get(); }
+    std::size_t size() const { return room_.size(); }
+
+  private:
+    Pool<T>* pool_ = nullptr;
+    Room<T> room_;
+};
+
+// What sums keep from one image to the next.
+class Workspace {
+  public:
+    template <typename T>
+    Pool<T>& of() {
+        if constexpr (sizeof(T) == sizeof(float))
+            return single_;
+        else
+            return double_;
+    }
+
+  private:
+    Pool<float> single_;
+    Pool<double> double_;
 };
 
 }  // namespace pysas

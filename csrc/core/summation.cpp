@@ -146,7 +146,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
             double lines[tile_rows * 6];
             std::vector<double> tail;
             std::uint8_t active[tile_rows];
-            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, raster.count, re, im, 0, nullptr};
+            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, raster.count, re, im, 0, nullptr, terms.model.near, 0, 0};
             TileWeights<Real> weights;
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
@@ -178,6 +178,7 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
                 any = any || active[r];
             }
             if (!any) return;
+            job.whole = job.count;
             job.weights = straight ? weights.of_lines(terms, lines, job.rows, job.count)
                                    : weights.of_points(terms, job.points, job.rows, job.count, left);
             run_sum(kernels, job);

@@ -15,16 +15,10 @@
 namespace pysas {
 namespace {
 
-using Store = Room<float>;
+using Store = Loan<float>;
 using Mask = std::vector<std::uint8_t>;
 
 constexpr int carrier_terms = 6;  // of the sine of sub-images' carriers
-
-Store& room_of(Store& store, std::int64_t size) {
-    const auto needed = static_cast<std::size_t>(size) + aligned;
-    if (store.size() < needed) store = Store(needed, true);
-    return store;
-}
 
 // Some of a level's images, in a store that begins with image `base`.
 std::vector<SubImage> images_of(const Level& level, std::int64_t begin, std::int64_t end, std::int64_t base,
@@ -51,7 +45,9 @@ class Walk {
                     longest = std::max(longest, b.end - b.begin);
             }
         }
-        tables_.emplace(run.recipe, data.shape[2], longest);
+        tables_.emplace(run, data.shape[2], longest);
+        rooms_ = rooms_of(forest_, run.recipe.batch);
+        stores_.resize(rooms_.size());
         std::vector<double> sine, cosine;
         fit_trigonometry(carrier_terms, sine, cosine);
         tree_.taps = &forest_.taps;
@@ -79,7 +75,6 @@ class Walk {
     void sum(const Section& section, const GroupTree& tree) {
         const bool beside = any(tree.direct);
         const Mask direct = beside && !image_.straight() ? pixels_of(tree.direct, section) : Mask();
-        stores_.resize(std::max(stores_.size(), tree.levels.size()));
         for (const TreeBatch& b : batches_of(tree, run_.recipe.batch)) {
             Stopwatch watch;
             tables_->fill(run_, data_, tree.traces.data() + b.begin, b.end - b.begin);
@@ -94,12 +89,7 @@ class Walk {
         if (tree.levels.empty()) return;
         Stopwatch watch;
         if (along(tree)) {
-            Store& top = stores_[tree.levels.size() - 1];
-            waiting_.push_back({&tree, std::move(top)});
-            if (!idle_.empty()) {
-                top = std::move(idle_.back());
-                idle_.pop_back();
-            }
+            waiting_.push_back({&tree, std::move(stores_[tree.levels.size() - 1])});
             if (waiting(tree) <= static_cast<std::int64_t>(waiting_.size())) read_waiting(section);
         } else {
             read_top(section, tree, images_of(tree.levels.back(), 0, 1, 0, stores_[tree.levels.size() - 1])[0]);
@@ -127,8 +117,7 @@ class Walk {
     // Leaves of a batch, and what they complete above them.
     void make_leaves(const GroupTree& tree, const TreeBatch& b, const Tick& tick) {
         const Level& level = tree.levels.front();
-        const auto images =
-            images_of(level, b.first, b.last, b.first, room_of(stores_[0], level.room(b.first, b.last)));
+        const auto images = images_of(level, b.first, b.last, b.first, store(0));
         Numbers span(level.span.begin() + b.first, level.span.begin() + b.last + 1);
         for (auto& number : span) number -= b.begin;
         const bool alone = tree.levels.size() == 1, by_pixel = !along(tree);
@@ -146,8 +135,7 @@ class Walk {
             const auto at = std::upper_bound(above.span.begin(), above.span.end(), begin) - 1;
             const std::int64_t parent = at - above.span.begin(), stop = std::min(end, at[1]);
             const auto children = images_of(levels[below], begin, stop, base, stores_[below]);
-            const auto image = images_of(above, parent, parent + 1, parent,
-                                         room_of(stores_[below + 1], above.room(parent, parent + 1)));
+            const auto image = images_of(above, parent, parent + 1, parent, store(below + 1));
             const bool last = stop == at[1], top = below + 2 == levels.size();
             const std::int64_t span[] = {0, stop - begin};
             std::vector<const Trace*> lit;
@@ -217,7 +205,6 @@ class Walk {
                 smooth_along(run_.kernels, tree_, &sources[i].image, 1, run_.threads, poll);
                 read_top(section, tree, sources[i].image);
             }
-            idle_.push_back(std::move(waiting_[i].store));
         }
         waiting_.clear();
     }
@@ -251,6 +238,13 @@ class Walk {
             read(run_.kernels, tree_, from, raster, &stack, tree.read.data() + band.top / tile_rows * across,
                  lines(section.begin + band.top, section.begin + band.bottom), run_.threads, poll);
         }
+    }
+
+    // Room for what a tree has of a level at a time.
+    Store& store(std::size_t level) {
+        Store& found = stores_[level];
+        if (found.size() == 0) found = Store(run_.work.of<float>(), static_cast<std::size_t>(rooms_[level]) + aligned);
+        return found;
     }
 
     const std::uint8_t* mask_of(const Section& section) const {
@@ -332,6 +326,7 @@ class Walk {
     std::int64_t whole_ = 0, done_ = 0;  // traces of trees
     std::optional<Tables<float>> tables_;
     Tree tree_{};
+    Numbers rooms_;  // floats of each level's store
     std::vector<Store> stores_;
 
     // Topmost sub-images that are read together: an image is added to as often.
@@ -340,7 +335,6 @@ class Walk {
         Store store;
     };
     std::vector<Waiting> waiting_;
-    std::vector<Store> idle_;
 };
 
 }  // namespace
@@ -380,13 +374,11 @@ std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most) {
     return out;
 }
 
-std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
-    std::vector<std::int64_t> most;
-    std::int64_t kept = 0;
+Numbers rooms_of(const Forest& forest, std::int64_t batch) {
+    Numbers most;
     for (const Section& section : forest.sections) {
         for (const GroupTree& tree : section.trees) {
             most.resize(std::max(most.size(), tree.levels.size()));
-            if (along(tree)) kept = std::max(kept, (waiting(tree) - 1) * tree.levels.back().room(0, 1));
             for (std::size_t i = 0; i < tree.levels.size(); ++i) {
                 const Level& level = tree.levels[i];
                 if (i == 0) {
@@ -398,9 +390,19 @@ std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
             }
         }
     }
-    std::int64_t sum = kept;
+    return most;
+}
+
+std::int64_t stores_of(const Forest& forest, std::int64_t batch) {
+    const Numbers most = rooms_of(forest, batch);
+    std::int64_t sum = 0, kept = 0;
     for (const std::int64_t floats : most) sum += floats;
-    return sum;
+    for (const Section& section : forest.sections) {
+        for (const GroupTree& tree : section.trees) {
+            if (along(tree)) kept = std::max(kept, (waiting(tree) - 1) * most[tree.levels.size() - 1]);
+        }
+    }
+    return sum + kept;
 }
 
 template <typename Sample, typename Pixel>

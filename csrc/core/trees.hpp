@@ -75,8 +75,9 @@ std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most);
 bool along(const GroupTree& tree);
 std::int64_t waiting(const GroupTree& tree);
 
-// Floats of the stores that a forest needs at a time: a batch of leaves, one sub-image of each level above them, and
-// those that wait.
+// Floats of the stores that a forest needs at a time: for each level, a batch of leaves or one sub-image above them;
+// and of all, those that wait with them.
+Numbers rooms_of(const Forest& forest, std::int64_t batch);
 std::int64_t stores_of(const Forest& forest, std::int64_t batch);
 
 }  // namespace pysas

@@ -242,6 +242,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     std::int64_t evaluated = 0;
     Vectors vectors[tile_rows];
     Levels<V> scratch;
+    scratch.first = tile.first / V::n;
     const Levels<V>* level = straight && tile.weights ? &scratch : nullptr;
     const Light& light = job.light;
     Shades<V, N> shades;
@@ -272,11 +273,11 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
             }
             continue;
         }
-        if (level) levels<V>(*tile.weights, i, rows, count, scratch);
+        if (level) levels<V>(*tile.weights, i, rows, tile.whole, scratch);
         bool whole = true;  // lines that have any vectors have all
         bool shaded = false;
         for (int r = 0; r < rows; ++r) vectors[r] = {0, tile.active[r] ? at.used : 0};
-        const bool near = nearest < job.model.near;
+        const bool near = nearest < tile.near;
         if (lit != Reach::inside || heard != Reach::inside || near) {
             alignas(64) double least[2][tile_rows], most[2][tile_rows];
             const int own = monostatic ? 0 : 1;
@@ -295,7 +296,7 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
                     heard == Reach::inside
                         ? heard
                         : window(trace, job.model, speed, least[0][r] + least[own][r], most[0][r] + most[own][r]);
-                const bool far = !near || (least[0][r] >= job.model.near && least[own][r] >= job.model.near);
+                const bool far = !near || (least[0][r] >= tile.near && least[own][r] >= tile.near);
                 int dark = 0;
                 // sines do not know on which side of the fan a pixel lies
                 const bool before = light.quick && far && lit != Reach::inside && depths.before[r] > depths.reach[r];
@@ -343,12 +344,75 @@ void sum_traces(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     tile.evaluated = evaluated;
 }
 
+// Whether halves of a tile's lines cost less: exact delays of what is nearer than lines so long allow cost some twenty
+// times a line's polynomial, which halves need twice.
+template <class V>
+bool in_halves(const TileJob<typename V::real>& tile) {
+    constexpr std::int64_t times = 20;
+    if (!tile.lines || tile.count <= V::n || !(tile.near > 0)) return false;
+    const Terms<typename V::real>& job = *tile.terms;
+    double ends[2 * tile_rows][3], centre[3];
+    for (int r = 0; r < tile.rows; ++r) {
+        for (int axis = 0; axis < 3; ++axis) {
+            ends[2 * r][axis] = tile.lines[6 * r + axis];
+            ends[2 * r + 1][axis] = tile.lines[6 * r + axis] + (tile.count - 1) * tile.lines[6 * r + 3 + axis];
+        }
+    }
+    const double radius = sphere(ends[0], 2 * tile.rows, centre);
+    std::int64_t lit = 0, near = 0;
+    for (std::int64_t i = 0; i < job.n_trace; ++i) {
+        const Trace& trace = job.traces[i];
+        const double there = norm(centre[0] - trace.tx[0], centre[1] - trace.tx[1], centre[2] - trace.tx[2]);
+        if (lit_of(trace, job.light, centre, radius, there) == Reach::outside) continue;
+        const double back = norm(centre[0] - trace.rx[0], centre[1] - trace.rx[1], centre[2] - trace.rx[2]);
+        ++lit;
+        near += (there < back ? there : back) < tile.near + radius;
+    }
+    return near * times > lit;
+}
+
+// By parts of its lines where whole ones are too near for their polynomials: these are wrong by what grows with their
+// length as the distance does, or faster.
+template <class V, int N>
+void sum_parts(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
+    if (!in_halves<V>(tile)) return sum_traces<V, N>(tile, add);
+    using real = typename V::real;
+    alignas(64) real re[tile_rows * block], im[tile_rows * block];
+    double lines[6 * tile_rows];
+    const int half = (tile.count + 2 * V::n - 1) / (2 * V::n) * V::n;
+    tile.evaluated = 0;
+    for (int begin = 0; begin < tile.count; begin += half) {
+        TileJob<real> part = tile;
+        part.count = tile.count - begin < half ? tile.count - begin : half;
+        part.near = tile.near * (half - 1) / (tile.count - 1);
+        part.first = tile.first + begin;
+        for (int r = 0; r < tile.rows; ++r) {
+            for (int axis = 0; axis < 3; ++axis) {
+                const double step = tile.lines[6 * r + 3 + axis];
+                lines[6 * r + axis] = tile.lines[6 * r + axis] + begin * step;
+                lines[6 * r + 3 + axis] = step;
+            }
+        }
+        part.lines = lines;
+        part.re = re;
+        part.im = im;
+        sum_parts<V, N>(part, add);
+        tile.evaluated += part.evaluated;
+        for (int r = 0; r < tile.rows; ++r) {
+            for (int m = 0; m < part.count; ++m) {
+                tile.re[r * block + begin + m] = re[r * block + m];
+                tile.im[r * block + begin + m] = im[r * block + m];
+            }
+        }
+    }
+}
+
 template <class V>
 void sum_tile(TileJob<typename V::real>& tile) {
     using List = Sizes<typename V::real>;
     with_degree<List>(tile.terms->degree, [&](auto degree) {
         constexpr int D = decltype(degree)::value, N = List::nodes;
-        sum_traces<V, N>(tile, tile.terms->trig == List::terms[0] ? adders<V, N, D, List::terms[0]>()
-                                                                  : adders<V, N, D, List::terms[1]>());
+        sum_parts<V, N>(tile, tile.terms->trig == List::terms[0] ? adders<V, N, D, List::terms[0]>()
+                                                                 : adders<V, N, D, List::terms[1]>());
     });
 }

@@ -69,7 +69,7 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
     }
     if (level) {
         for (int m = begin; m < end; ++m) {
-            const auto& power = level->power[m / V::n];
+            const auto& power = (*level)[m / V::n];
             const double lane = 2.0 * (m % V::n) / (V::n - 1) - 1;
             out.weight[m] *= power[0][r] + lane * (power[1][r] + lane * power[2][r]);
         }

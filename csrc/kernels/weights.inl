@@ -6,6 +6,9 @@ template <class V>
 struct Levels {
     static constexpr int subs = block / V::n;
     alignas(64) typename V::real power[subs][3][tile_rows];
+    int first = 0;  // vector that the lines begin with
+
+    const auto& operator[](int s) const { return power[first + s]; }
 };
 
 // Places of a vector's lanes in [-1, 1].
@@ -78,7 +81,7 @@ void levels(const typename V::real (&at)[weight_nodes][tile_rows], int rows, int
 // Multiply by what vector `s` of a line weighs.
 template <class V>
 void weigh(const Levels<V>& level, int s, int r, typename V::vec lane, typename V::vec& sine, typename V::vec& cosine) {
-    const auto& power = level.power[s];
+    const auto& power = level[s];
     const auto w = V::fma(V::fma(V::set(power[2][r]), lane, V::set(power[1][r])), lane, V::set(power[0][r]));
     sine = V::mul(sine, w);
     cosine = V::mul(cosine, w);

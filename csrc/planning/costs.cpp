@@ -66,9 +66,14 @@ double term_ns(const Scene& scene, const Costs& costs, bool narrow, int block, d
         before = below;
     }
     const double each = costs.coefficient * (degree + 1) * mean;
-    // lines of which any pixel is that near
-    const double share = std::min(1.0, scene.within(near + block * scene.step / 2) / part);
-    return share * own + (1 - share) * (wide * padded * (costs.term + each) + costs.line / block);
+    // lines of which any pixel is that near are summed by halves, and where a vector is too long pixel by pixel
+    const auto nearer = [&](double count) {
+        return std::min(1.0, scene.within((near + block * scene.step / 2) * count / block) / part);
+    };
+    double count = block, lines = 1;
+    for (; count > lanes; count /= 2) lines += nearer(count) * block / count;
+    const double share = nearer(count);
+    return share * own + (1 - share) * (wide * padded * (costs.term + each) + costs.line * lines / block);
 }
 
 double coefficient_ns(const Filter& filter) { return made_ns + filter_ns * filter.taps; }

@@ -10,7 +10,6 @@
 
 #include "core/border.hpp"
 #include "core/errors.hpp"
-#include "core/room.hpp"
 #include "core/summation.hpp"
 #include "planning/words.hpp"
 
@@ -236,7 +235,7 @@ Totals Imaging::sum(const Ready& ready, const View<const Sample, 3>& data, const
         using Pixel = decltype(zero);
         const Room<Pixel> list(static_cast<std::size_t>(image.shape[0] * image.shape[1]), true);
         const View<Pixel, 2> to{list.get(), {image.shape[0], image.shape[1]}, {image.shape[1], 1}};
-        const Totals totals = run(recipe, data, used, scale, lines_of(recipe, to), threads, kernels_, tick);
+        const Totals totals = run(recipe, data, used, scale, lines_of(recipe, to), threads, kernels_, *work_, tick);
         every(image, threads,
               [from = list.get()](Sample& pixel, std::int64_t number) { pixel = static_cast<Sample>(from[number]); });
         return totals;
@@ -245,7 +244,7 @@ Totals Imaging::sum(const Ready& ready, const View<const Sample, 3>& data, const
     const bool dense = image.stride[0] == image.shape[1] * image.stride[1];
     if (!dense && !recipe.image.straight()) return aside(Sample());
     every(image, threads, [](Sample& pixel, std::int64_t) { pixel = 0; });
-    return run(recipe, data, used, scale, lines_of(recipe, image), threads, kernels_, tick);
+    return run(recipe, data, used, scale, lines_of(recipe, image), threads, kernels_, *work_, tick);
 }
 
 template Done Imaging::operator()(const View<const std::complex<float>, 3>&, const View<std::complex<float>, 2>&, bool,

@@ -10,6 +10,7 @@
 
 #include "core/dispatch.hpp"
 #include "core/recipe.hpp"
+#include "core/room.hpp"
 #include "planning/levels.hpp"
 #include "planning/planner.hpp"
 
@@ -40,6 +41,9 @@ class Imaging {
 
     const Plan& plan() const { return first_->plan; }
 
+    // Share what sums keep with one that was before: both may work at a time, and need twice as much then.
+    void follow(const Imaging& before) { work_ = before.work_; }
+
     // Image (ping, channel, sample) into (height, width), which is overwritten. Traces with samples that are not finite
     // are left out, or an error (`whole`). Throws Error(data), Error(range), Error(tolerance) where bright samples
     // beside those that pixels read forbid trees and these were asked for without a fallback, Error(cancelled).
@@ -57,6 +61,7 @@ class Imaging {
 
     std::shared_ptr<const Ready> first_;
     const Kernels& kernels_;
+    std::shared_ptr<Workspace> work_ = std::make_shared<Workspace>();
     mutable std::mutex guard_;
     mutable std::unique_ptr<const SomeTerms> terms_;
     mutable std::map<std::pair<bool, double>, std::shared_ptr<const Ready>> others_;  // by trees left and ends

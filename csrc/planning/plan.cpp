@@ -108,7 +108,7 @@ std::int64_t Plan::memory() const {
     // of transforms side by side, at twice the rate, and room for as many
     if (settings.n_fft) work += static_cast<double>(wish.threads * 8 * settings.n_fft * 4 * transform_lanes<float>);
     if (block == 0) work += static_cast<double>(24 * std::min(slab, pixels));
-    if (trees) work += 4 * static_cast<double>(stores_of(trees->forest, settings.batch));
+    if (trees) work += 4.5 * static_cast<double>(stores_of(trees->forest, settings.batch));
     return pixels * (scene->survey.single ? 8 : 16) + static_cast<std::int64_t>(work);
 }
 

@@ -116,7 +116,8 @@ std::vector<Single> image_of(const Recipe& recipe, int threads, const Tick& tick
     const bool straight = recipe.image.straight();
     const View<Single, 2> to{image.data(), {straight ? height : 1, straight ? width : height * width}, {width, 1}};
     const View<const Single, 3> from{data.data(), {pings, 1, samples}, {samples, samples, 1}};
-    const Totals totals = run(recipe, from, used.data(), 2.0, to, threads, kernels_for("auto"), tick);
+    Workspace work;
+    const Totals totals = run(recipe, from, used.data(), 2.0, to, threads, kernels_for("auto"), work, tick);
     if (terms) *terms = static_cast<double>(totals.terms);
     return image;
 }

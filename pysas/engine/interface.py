@@ -58,6 +58,9 @@ class Planned(Chosen, Protocol):
     def other(self) -> str:
         """The method that is not used: its predicted time, or why it cannot be."""
 
+    def follow(self, before: Any) -> None:
+        """Work in the memory that a plan before keeps, instead of memory of its own."""
+
     def __call__(self, data: ComplexArray, image: ComplexArray, whole: bool, tick: Tick) -> Done:
         """Image (ping, channel, sample) into (row, column); an error where a trace is not finite, with `whole`."""
 

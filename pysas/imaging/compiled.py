@@ -11,7 +11,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import Planning, interface
 from pysas.engine.survey import Totals, readable
 from pysas.imaging import words
-from pysas.imaging.plans import Done
+from pysas.imaging.plans import Done, EnginePlan
 from pysas.model.grid import Grid
 from pysas.planning import view_angles
 from pysas.planning.scene import Scene
@@ -84,6 +84,10 @@ class Compiled:
 
     def other(self) -> str:
         return str(self.plan.other())
+
+    def follow(self, before: EnginePlan) -> None:
+        if isinstance(before, Compiled):
+            self.plan.follow(before.plan)
 
     def image(
         self, samples: ComplexArray, image: ComplexArray, nan: str, progress: Callable[[float], None] | None

@@ -71,6 +71,9 @@ class EnginePlan(Protocol):
     def other(self) -> str:
         """The method that is not used: its predicted time, or why it cannot be."""
 
+    def follow(self, before: EnginePlan) -> None:
+        """Work in the memory that a plan before, of the same engine, keeps."""
+
     def image(
         self, samples: ComplexArray, image: ComplexArray, nan: str, progress: Callable[[float], None] | None
     ) -> Done:  # fmt: skip

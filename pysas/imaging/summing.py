@@ -16,7 +16,7 @@ from pysas.engine.survey import Survey, Totals
 from pysas.engine.traces import MODEL, record
 from pysas.imaging import amplitudes, factorised, levels, words
 from pysas.imaging.interpreted import Interpreted
-from pysas.imaging.plans import Done
+from pysas.imaging.plans import Done, EnginePlan
 from pysas.model.grid import Grid
 from pysas.planning import bounds, view_angles
 from pysas.planning.raster import Raster
@@ -27,6 +27,9 @@ AT_ONCE = 2**16  # pixels with weights of their own, at most
 
 class Summing(Interpreted):
     """See plans.EnginePlan."""
+
+    def follow(self, before: EnginePlan) -> None:
+        """Nothing is kept."""
 
     def image(
         self, samples: ComplexArray, image: ComplexArray, nan: str, progress: Callable[[float], None] | None

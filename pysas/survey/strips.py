@@ -19,6 +19,7 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.imaging.planner import plan
+from pysas.imaging.plans import EnginePlan
 from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
@@ -137,6 +138,7 @@ class _Stream:
         self.forward = 0  # 1 or -1 along x, once it is known
         self.given: int | None = None  # the image given away last
         self.reach = (-np.inf, np.inf)  # of the newest ping
+        self.before: EnginePlan | None = None  # whose memory is used again
         self.room: ComplexArray = np.empty(0, dtype=np.complex64)
 
     def add(self, echoes: Echoes) -> None:
@@ -154,7 +156,11 @@ class _Stream:
         if low >= high:
             return
         grid = strip.grid(low, high - low)
-        image = plan(echoes, grid, **strip.options)(echoes.data, self._room(grid, echoes))
+        made = plan(echoes, grid, **strip.options)
+        if self.before is not None:
+            made.by.follow(self.before)
+        self.before = made.by
+        image = made(echoes.data, self._room(grid, echoes))
         for number in range(low // strip.columns, (high - 1) // strip.columns + 1):
             begin = number * strip.columns
             one = self.pending.get(number)
