@@ -84,6 +84,17 @@ Points points_of(Places given, std::int64_t height, std::int64_t width, const Po
     };
 }
 
+// Lines that points happen to lie on; a single row is a list.
+void lines_of(const Places& given, const Point& origin, Pixels& pixels) {
+    const auto* list = std::get_if<Array<double>>(&given);
+    if (list && list->size() == 3 * pixels.size() && pixels.height > 1) find_lines(list->data(), origin, pixels);
+    const auto* map = std::get_if<1>(&given);
+    if (!map) return;
+    const auto& [x, y, z] = *map;
+    if (x.size() == pixels.width && y.size() == pixels.height && z.size() == pixels.size())
+        find_lines(x.data(), y.data(), z.data(), origin, pixels);
+}
+
 Pixels make_pixels(std::int64_t height, std::int64_t width, const Array<double>& origin,
                    const std::optional<Array<double>>& first, const std::optional<Array<double>>& step, double uneven,
                    Places points, const std::optional<Array<bool>>& mask) {
@@ -97,6 +108,7 @@ Pixels make_pixels(std::int64_t height, std::int64_t width, const Array<double>&
         out.step.assign(step->data(), step->data() + step->size());
     }
     if (origin.size() != 3) throw py::value_error("pixels: an origin");
+    if (out.first.empty()) lines_of(points, point(origin.data()), out);
     out.points = points_of(std::move(points), height, width, point(origin.data()));
     if (mask) {
         if (mask->size() != height * width) throw py::value_error("pixels: a mask of all");

@@ -55,7 +55,7 @@ class Direct {
     void sum() {
         if (run_.recipe.views)
             add_each();
-        else if (run_.recipe.image.straight())
+        else if (run_.recipe.image.lined())
             in_batches({0, 1}, [&](std::int64_t, Share share) { add_lines(share); });
         else
             in_batches({0, 1}, [&](std::int64_t, Share share) { add_points(share); });
@@ -94,8 +94,8 @@ class Direct {
     void add_lines(Share share) {
         const Image& lines = run_.recipe.image;
         const std::uint8_t* mask = lines.mask.empty() ? nullptr : lines.mask.data();
-        const Raster raster{lines.first.data(), lines.step.data(), nullptr,    mask,
-                            lines.height,       lines.width,       lines.count};
+        const Raster raster{lines.first.data(), lines.step.data(), nullptr, mask,          lines.height,
+                            lines.width,        lines.count,       nullptr, lines.heights, lines.spans.data()};
         add_to(tables_.terms(), raster, image_, share);
     }
 

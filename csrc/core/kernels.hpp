@@ -131,6 +131,22 @@ struct Lattice {
     double x0, y0, dx, dy, longest;
 };
 
+// Heights of a map's pixels over evenly spaced places on lines: of pixel m of row r at z[r row + m apart], less
+// `origin`; or none.
+struct Heights {
+    const double* z = nullptr;
+    std::int64_t row = 0, apart = 0;
+    double origin = 0;
+
+    Heights from(std::int64_t r, std::int64_t m) const { return {z ? z + r * row + m * apart : z, row, apart, origin}; }
+};
+
+// What a block of pixels whose heights lie up to h off a line may be summed by polynomials in height: as far away as
+// cubic h^1.5 m, and where light fades fading h m; not at all where they reach beyond `highest` m from their middle.
+struct Rise {
+    double cubic, fading, highest;
+};
+
 template <typename Real>
 struct Terms {
     const Real* table;
@@ -146,6 +162,7 @@ struct Terms {
     Nodes nodes;
     const Lattice* lattice;  // or null: every term weighs 1, or what `weights` say
     const Real* weights;     // of a list of points, (point, n_trace), padded to whole rows of blocks; or null
+    Rise rise;
 };
 
 constexpr int weight_nodes = 5;
@@ -166,6 +183,8 @@ template <typename Real>
 struct TileJob {
     const Terms<Real>* terms;
     const double* lines;         // (rows, 6) first pixel and step of each line, or null
+    Heights heights;             // of pixels on lines, instead of the lines' own
+    double low, high;            // between which these lie
     const double* points;        // (rows * count, 3) where there are no lines
     const std::uint8_t* active;  // (rows)
     int rows, count;

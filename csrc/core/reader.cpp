@@ -141,6 +141,7 @@ Tables<Real>::Tables(Execution& run, std::int64_t n_sample, std::int64_t most) :
     terms_.light = recipe.light;
     terms_.kind = recipe.kind;
     terms_.nodes = recipe.nodes;
+    terms_.rise = recipe.rise;
     if (!recipe.lattice) return;
     const LatticeWeights& l = *recipe.lattice;
     lattice_ = {nullptr, 0, l.nx, l.ny, l.x0, l.y0, l.dx, l.dy, l.longest};

@@ -45,7 +45,7 @@ struct Wanted {
     std::uint8_t operator[](std::size_t i) const { return at[i]; }
 };
 
-// Straight lines (height, 3), or points by their numbers.
+// Straight lines (height, 3), or lines with heights of their own, or points by their numbers.
 struct Image {
     std::int64_t height = 0, width = 0;
     std::vector<double> first, step;
@@ -53,7 +53,11 @@ struct Image {
     Wanted mask;    // (height, width), the caller keeps it
     int count = 0;  // pixels of a block
 
-    bool straight() const { return !first.empty(); }
+    Heights heights;
+    std::vector<double> spans;  // (tile, 2) between which these lie
+
+    bool lined() const { return !first.empty(); }
+    bool straight() const { return lined() && !heights.z; }
 };
 
 // Weights of terms that change from pixel to pixel: those of a lattice (ny, nx, all traces), see kernels.hpp,
@@ -79,6 +83,7 @@ struct Recipe {
     Reader reader;
     std::vector<double> sine, cosine;
     Nodes nodes;
+    Rise rise;
     Image image;
     std::int64_t batch;  // traces that have tables at a time
     std::optional<LatticeWeights> lattice;

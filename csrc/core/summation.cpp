@@ -146,13 +146,16 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
             double lines[tile_rows * 6];
             std::vector<double> tail;
             std::uint8_t active[tile_rows];
-            TileJob<Real> job{&terms, nullptr, nullptr, active, 0, raster.count, re, im, 0, nullptr, terms.model.near, 0, 0};
+            TileJob<Real> job{&terms,       nullptr, {}, 0, 0,       nullptr,          active, 0,
+                              raster.count, re,      im, 0, nullptr, terms.model.near, 0,      0};
             TileWeights<Real> weights;
             if (straight) {
                 job.rows = static_cast<int>(bottom - top);
                 job.count = static_cast<int>(right - left);  // a block never runs on behind the image: tables end there
                 Tiling(raster).lines({top, bottom, left, right}, lines);
                 job.lines = lines;
+                job.heights = raster.heights.from(top, left);
+                if (raster.spans) job.low = raster.spans[2 * task], job.high = raster.spans[2 * task + 1];
             } else {
                 job.rows = static_cast<int>((pixels + raster.count - 1) / raster.count);
                 job.points = raster.points + 3 * left;
@@ -190,8 +193,13 @@ std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster&
                 row_of(r, line, begin, end);
                 Pixel* to = &image(line, begin);
                 const Real *a = re + r * block, *b = im + r * block;
-                for (std::int64_t m = 0; m < end - begin; ++m) {
-                    to[m * image.stride[1]] += Pixel(static_cast<value>(a[m]), static_cast<value>(b[m]));
+                const auto one = [&](std::int64_t m) {
+                    return Pixel(static_cast<value>(a[m]), static_cast<value>(b[m]));
+                };
+                if (image.stride[1] == 1) {  // which compilers take several at a time of
+                    for (std::int64_t m = 0; m < end - begin; ++m) to[m] += one(m);
+                } else {
+                    for (std::int64_t m = 0; m < end - begin; ++m) to[m * image.stride[1]] += one(m);
                 }
             }
         },

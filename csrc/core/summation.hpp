@@ -55,7 +55,7 @@ template <typename Real, typename Sample>
 void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& filter, Real* table, std::int64_t stride,
              int threads, const Tick& tick);
 
-// The image seen as lines of pixels: straight and evenly spaced, or a list of points (one line).
+// The image seen as lines of pixels: straight and evenly spaced, but for heights, or a list of points (one line).
 struct Raster {
     const double* first;       // (height, 3) first pixels of the lines, or null
     const double* step;        // (height, 3)
@@ -63,7 +63,9 @@ struct Raster {
     const std::uint8_t* mask;  // (height, width) pixels wanted, or null
     std::int64_t height, width;
     int count;                            // pixels of a block
-    const std::uint8_t* tiles = nullptr;  // those wanted, of straight lines; or all
+    const std::uint8_t* tiles = nullptr;  // those wanted, of lines; or all
+    Heights heights{};                    // of the lines' pixels, instead of the lines' own
+    const double* spans = nullptr;        // (tile, 2) between which these lie
 };
 
 // How the lines of a raster are cut into tiles of `tile_rows` lines and `count` pixels.

@@ -74,7 +74,7 @@ class Walk {
 
     void sum(const Section& section, const GroupTree& tree) {
         const bool beside = any(tree.direct);
-        const Mask direct = beside && !image_.straight() ? pixels_of(tree.direct, section) : Mask();
+        const Mask direct = beside && !image_.lined() ? pixels_of(tree.direct, section) : Mask();
         for (const TreeBatch& b : batches_of(tree, run_.recipe.batch)) {
             Stopwatch watch;
             tables_->fill(run_, data_, tree.traces.data() + b.begin, b.end - b.begin);
@@ -160,7 +160,7 @@ class Walk {
         const Tick tick = share_of(b, 1 - part, part);
         const Terms<float>& terms = tables_->terms();
         const std::int64_t width = image_.width;
-        if (image_.straight()) {
+        if (image_.lined()) {
             Raster raster = lines_of(section, mask_of(section));
             raster.tiles = tree.direct.data();
             run_.totals.terms +=
@@ -278,7 +278,10 @@ class Walk {
                 mask,
                 section.end - section.begin,
                 image_.width,
-                image_.count};
+                image_.count,
+                nullptr,
+                image_.heights.from(section.begin, 0),
+                image_.spans.data()};
     }
 
     View<Pixel, 2> lines(std::int64_t begin, std::int64_t end) const {

@@ -26,12 +26,14 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
     alignas(64) double x[3][block];
     const int begin = vectors.begin * V::n, padded = vectors.end * V::n;  // by the last pixel
     const int end = padded < tile.count ? padded : tile.count;
+    const Heights& heights = tile.heights;
     for (int m = begin; m < padded; ++m) {
         const int pixel = m < tile.count ? m : tile.count - 1;
         for (int axis = 0; axis < 3; ++axis) {
             x[axis][m] = tile.lines ? tile.lines[6 * r + axis] + pixel * tile.lines[6 * r + 3 + axis]
                                     : tile.points[3 * (r * tile.count + pixel) + axis];
         }
+        if (heights.z) x[2][m] = heights.z[r * heights.row + pixel * heights.apart] - heights.origin;
     }
     W::vec counted = W::set(0.0);
     const W::vec half = W::set(0.5), first = W::set(0.0), last = W::set(model.last);

@@ -69,12 +69,12 @@ inline Double::vec brightness(const Trace& g, const Light& light, const Double::
     return V::mul(counts, V::mul(V::mul(e, e), q));
 }
 
-// The same of lines of a tile: how deep their middles lie within the edge and where all is lit alike, before the
-// transmitter, and what their halves reach.
+// The same of lines of a tile whose pixels lie up to `more` off them: how deep their middles lie within the edge and
+// where all is lit alike, before the transmitter, and what their halves reach.
 struct Depths {
     alignas(64) double edge[tile_rows], full[tile_rows], before[tile_rows], reach[tile_rows];
 
-    void measure(const Trace& g, const Light& light, const Segments& lines, int rows) {
+    void measure(const Trace& g, const Light& light, const Segments& lines, int rows, double more) {
         using V = Double;
         using vec = V::vec;
         const bool flat = light.shape == fan;
@@ -97,7 +97,7 @@ struct Depths {
             V::store(edge + r, depth(light.sine_half, light.cosine_half));
             V::store(full + r, depth(light.sine_full, light.cosine_full));
             V::store(before + r, flat ? look : V::set(no_side));
-            V::store(reach + r, V::fma(V::set(1e-7), V::root(there2), V::load(lines.half + r)));
+            V::store(reach + r, V::fma(V::set(1e-7), V::root(there2), V::add(V::load(lines.half + r), V::set(more))));
         }
     }
 
@@ -108,7 +108,8 @@ struct Depths {
 struct Piece {
     double at[3], radius, there;
 
-    Piece(const Trace& g, const Segments& lines, int r, double middle, double half, int count) {
+    // `more`: what pixels lie off their line at most.
+    Piece(const Trace& g, const Segments& lines, int r, double middle, double half, int count, double more) {
         double length2 = 0, there2 = 0;
         for (int axis = 0; axis < 3; ++axis) {
             const double step = count > 1 ? lines.along[axis][r] / (count - 1) : 0.0;
@@ -116,7 +117,7 @@ struct Piece {
             length2 += step * step;
             there2 += (at[axis] - g.tx[axis]) * (at[axis] - g.tx[axis]);
         }
-        radius = half * ::sqrt(length2);
+        radius = half * ::sqrt(length2) + more;
         there = ::sqrt(there2);
     }
     Reach lit(const Trace& g, const Light& light) const { return lit_of(g, light, at, radius, there); }

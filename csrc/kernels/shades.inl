@@ -10,26 +10,36 @@ struct Shades {
     Shade of[tile_rows];
     alignas(64) real middle[tile_rows], coefficient[N - 1][tile_rows];  // of `per` times the sine, in x^1, ...
     alignas(64) real each[tile_rows][block];
+    alignas(64) real faded[tile_rows][block];  // weights of fans that fade, where `count` vectors of a line have them
+    Vectors count[tile_rows];
+    int dark[tile_rows];                  // of these
+    alignas(64) real rise[N][tile_rows];  // what the sine grows by with a pixel's height off the line, in x^0, x^1, ...
 };
 
-// Sines of a fan's angles along a tile's lines.
+// Sines of a fan's angles along a tile's lines, of pixels off them too where there is a relief.
 template <class V, int N>
 void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<V, N>& at, int rows,
-           Shades<V, N>& out) {
+           const Relief<V>* relief, Shades<V, N>& out) {
     using D = Double;
     using vec = D::vec;
     const vec per = D::set(job.light.per);
     for (int r = 0; r < rows; r += D::n) {
-        vec sine[N];
+        vec sine[N], grows[N];
         for (int j = 0; j < N; ++j) {
             const vec x = D::sub(D::load(at.x[j] + r), D::set(trace.tx[0])),
-                      y = D::sub(D::load(at.y[j] + r), D::set(trace.tx[1])),
-                      z = D::sub(D::load(at.z[j] + r), D::set(trace.tx[2]));
-            const vec near = D::mul(per, D::inverse_root(D::fma(x, x, D::fma(y, y, D::mul(z, z)))));
-            const vec aside =
-                D::fma(x, D::set(trace.axis[0]), D::fma(y, D::set(trace.axis[1]), D::mul(z, D::set(trace.axis[2]))));
-            sine[j] = D::mul(aside, near);
+                      y = D::sub(D::load(at.y[j] + r), D::set(trace.tx[1]));
+            const vec aside = D::fma(x, D::set(trace.axis[0]), D::mul(y, D::set(trace.axis[1])));
+            const vec square = D::fma(x, x, D::mul(y, y));
+            const auto sine_at = [&](double height) {
+                const vec z = D::add(D::load(at.z[j] + r), D::set(height - trace.tx[2]));
+                const vec near = D::mul(per, D::inverse_root(D::fma(z, z, square)));
+                return D::mul(D::fma(z, D::set(trace.axis[2]), aside), near);
+            };
+            sine[j] = sine_at(0);
+            if (relief) grows[j] = D::mul(D::set(0.5), D::sub(sine_at(relief->most), sine_at(-relief->most)));
         }
+        if (relief) along<N>(job.nodes, grows, 1.0, &out.rise[0][r], tile_rows);
+        for (int i = r; i < r + D::n; ++i) out.count[i] = {0, 0};
         D::store(out.middle + r, sine[N / 2]);
         for (int q = 1; q < N; ++q) {
             vec sum = D::set(0.0);
@@ -52,8 +62,12 @@ class Fade {
         for (int q = 0; q < ramp_powers; ++q) power_[q] = V::set(static_cast<real>(light.power[q]));
     }
 
-    // Of line `r`; returns how many pixels weigh nothing.
-    int operator()(const Shades<V, N>& shades, int r, Vectors vectors, int count, const real* x, real* weight) const {
+    // Of line `r`, whose pixels have `heights` off it or none; returns how many pixels weigh nothing.
+    int operator()(Shades<V, N>& shades, int r, Vectors vectors, int count, const real* x, const real* heights) const {
+        Vectors& known = shades.count[r];
+        if (known.begin == vectors.begin && known.end == vectors.end) return shades.dark[r];
+        known = vectors;
+        real* const weight = shades.faded[r];
         const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.middle[r]);
         const int last = vectors.end - 1;
         int dark = 0;
@@ -64,6 +78,11 @@ class Fade {
             vec sine = c[N - 2];
             for (int q = N - 3; q >= 0; --q) sine = V::fma(sine, at, c[q]);
             sine = V::fma(sine, at, middle);
+            if (heights) {
+                vec grows = V::set(shades.rise[N - 1][r]);
+                for (int q = N - 2; q >= 0; --q) grows = V::fma(grows, at, V::set(shades.rise[q][r]));
+                sine = V::fma(grows, V::load(heights + s * V::n), sine);
+            }
             const vec e = V::max(zero, V::min(one, V::sub(top_, V::abs(sine)))), square = V::mul(e, e);
             // in pairs: half as long a chain as one power after another
             vec w = power_[ramp_powers - 1];
@@ -72,6 +91,7 @@ class Fade {
             if (s > vectors.begin && s < last) continue;  // a fan's middle lies between its edges
             for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) dark += weight[m] == 0;
         }
+        shades.dark[r] = dark;
         return dark;
     }
 
@@ -114,7 +134,7 @@ template <class V, int N>
 struct Between {
     double value[block / V::n + 1], slack, edge, full;
 
-    Between(const Light& light, const Shades<V, N>& shades, const Places<V, N>& at, int r, double nearness)
+    Between(const Light& light, const Shades<V, N>& shades, const Places<V, N>& at, int r, double nearness, bool relief)
         : edge(light.per * light.sine_half), full(light.per * light.sine_full) {
         double bend = 0;
         for (int q = 1; q < N; ++q) bend += q * (q - 1.0) * ::fabs(static_cast<double>(shades.coefficient[q - 1][r]));
@@ -122,6 +142,7 @@ struct Between {
         // what the polynomial is wrong by on a line half as long as `nearness` of its distance: see settings.cpp
         const double wrong = light.per * 0.125 * nearness * nearness * nearness * nearness * nearness;
         slack = bend * width * width / 8 + wrong + 1e-5 * edge;
+        for (int q = 0; q < N && relief; ++q) slack += 1.01 * ::fabs(static_cast<double>(shades.rise[q][r]));
         for (int s = 0; s <= at.used; ++s) {
             double sum = shades.coefficient[N - 2][r];
             for (int q = N - 3; q >= 0; --q) sum = sum * at.edge[s] + shades.coefficient[q][r];

@@ -159,10 +159,9 @@ Pixels pixels_of(const pysas_grid& grid, const double origin[3]) {
     if (grid.mask) out.mask.assign(grid.mask, grid.mask + grid.height * grid.width);
     if (grid.points) {
         // rows of points may happen to lie on lines; a single row is a list
-        if (grid.height > 1) find_lines(grid.points, out);
-        for (std::size_t i = 0; i < out.first.size(); ++i) out.first[i] -= origin[i % 3];
         const auto list =
             std::make_shared<const std::vector<double>>(grid.points, grid.points + 3 * grid.height * grid.width);
+        if (grid.height > 1) find_lines(list->data(), point(origin), out);
         out.points = points_in_list(list->data(), point(origin), list);
         return out;
     }

@@ -70,10 +70,12 @@ double term_ns(const Scene& scene, const Costs& costs, bool narrow, int block, d
     const auto nearer = [&](double count) {
         return std::min(1.0, scene.within((near + block * scene.step / 2) * count / block) / part);
     };
-    double count = block, lines = 1;
-    for (; count > lanes; count /= 2) lines += nearer(count) * block / count;
+    // three polynomials each where pixels have heights
+    double count = block, lines = scene.pixels.heights.z ? 3 : 1;
+    for (double more = lines; count > lanes; count /= 2) lines += more * nearer(count) * block / count;
     const double share = nearer(count);
-    return share * own + (1 - share) * (wide * padded * (costs.term + each) + costs.line * lines / block);
+    return share * own + (1 - share) * (wide * padded * ((scene.pixels.heights.z ? 1.5 : 1) * costs.term + each) +
+                                        costs.line * lines / block);
 }
 
 double coefficient_ns(const Filter& filter) { return made_ns + filter_ns * filter.taps; }

@@ -11,7 +11,6 @@
 namespace pysas {
 namespace {
 
-constexpr int most_planes = 6;
 constexpr double wide = 0.3;      // a tile's radius seen from a group at most, rad
 constexpr double ahead = 0.25;    // sine of the angle to a group's axis within which pixels are ahead of it
 constexpr double flattest = 0.7;  // of a unit axis along the ground, at least
@@ -138,22 +137,26 @@ class Beams {
     std::vector<const Trace*> traces_;
 };
 
-// What a group's transmitters and receivers together lie beside its axis for pixels `closest` m beside it, at most.
-double off_axis(const Scene& scene, const Group& group, double closest) {
-    double most = 0;
-    for (const std::int64_t i : group.traces) {
-        const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
-        const Point tx = point(trace.tx), rx = point(trace.rx);
-        const auto across = [&](const Point& p) {
-            const Point away = p - group.centre;
-            return away - dot(away, group.axis) * group.axis;
-        };
-        const Point out = across(tx), back = across(rx);
-        const double squares = dot(out, out) + dot(back, back), inner = std::min(length(out), length(back));
-        most = std::max(most, length(out + back) + (squares + inner * length(tx - rx)) / closest);
+// What a group's transmitters and receivers together lie beside its axis: for pixels `closest` m beside it at most
+// straight + bent / closest.
+struct OffAxis {
+    double straight = 0, bent = 0;
+
+    OffAxis(const Scene& scene, const Group& group) {
+        for (const std::int64_t i : group.traces) {
+            const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
+            const Point tx = point(trace.tx), rx = point(trace.rx);
+            const auto across = [&](const Point& p) {
+                const Point away = p - group.centre;
+                return away - dot(away, group.axis) * group.axis;
+            };
+            const Point out = across(tx), back = across(rx);
+            straight = std::max(straight, length(out + back));
+            bent =
+                std::max(bent, dot(out, out) + dot(back, back) + std::min(length(out), length(back)) * length(tx - rx));
+        }
     }
-    return most;
-}
+};
 
 }  // namespace
 
@@ -197,44 +200,45 @@ double weights_wrong(double width, double angle, int count) {
 // transmitters and receivers together lie beside it: exp(j a s), |s| <= 1, of which the polynomial through n Chebyshev
 // nodes lacks a^n/(n! 2^(n-1)). Where they lie on opposite sides their paths differ in second order still: by q^2
 // cos^2/(2 r) for each sensor q beside the axis, and as q/r of a transmitter and a receiver that are not equally far.
-std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error) {
+Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error, int count) {
     const Survey& survey = scene.survey;
     const double highest = 2 * pi * (survey.model.fc + survey.band * survey.model.fs) / survey.model.c;
     const auto each = static_cast<std::size_t>(tiled.each);
-    double low = HUGE_VAL, high = -HUGE_VAL, most = 0, turned = 0;
+    double low = HUGE_VAL, high = -HUGE_VAL;
     for (std::size_t i = 0; i < tiled.corners.size(); ++i) {
         if (tiled.pixels[i / each] == 0) continue;
         low = std::min(low, tiled.corners[i].z);
         high = std::max(high, tiled.corners[i].z);
     }
+    double straight = 0, bent = 0, skew = 0;
     for (const Group& group : groups) {
-        const Onto onto(group, tiled.plane);
-        double closest = HUGE_VAL;
-        for (std::size_t i = 0; i < tiled.corners.size(); i += each) {
-            if (const double found = beside(onto, group, &tiled.corners[i], tiled.each); found > 0)
-                closest = std::min(closest, found);
-        }
-        if (closest < HUGE_VAL) {
-            most = std::max(most, highest * off_axis(scene, group, closest) * (high - low) / 2 / closest);
-            turned = std::max(turned, askew(scene, group) * (high - low) / 2 / closest);
-        }
+        const OffAxis off(scene, group);
+        straight = std::max(straight, off.straight);
+        bent = std::max(bent, off.bent);
+        skew = std::max(skew, askew(scene, group));
     }
-    const double width = survey.model.beam.half_angle - survey.model.beam.full_angle;
-    double lacking = 2;
-    for (int count = 1; count <= most_planes; ++count) {
-        lacking *= most / count / 2;
-        if (!(lacking + weights_wrong(width, turned, count) <= error)) continue;
-        std::vector<double> heights;
-        for (int k = count - 1; k >= 0; --k)
-            heights.push_back((low + high) / 2 + (high - low) / 2 * std::cos(pi * (2 * k + 1) / (2 * count)));
-        return heights;
+    const double half = (high - low) / 2, width = survey.model.beam.half_angle - survey.model.beam.full_angle;
+    const auto wrong = [&](double closest) {
+        const double most = highest * (straight + bent / closest) * half / closest;
+        double lacking = 2;
+        for (int k = 1; k <= count; ++k) lacking *= most / k / 2;
+        return lacking + weights_wrong(width, skew * half / closest, count);
+    };
+    double near = 0, far = scene.farthest;
+    if (!(wrong(far) <= error)) return {};
+    while (far > near * (1 + 1e-3) + 1e-3) {
+        const double middle = (near + far) / 2;
+        (wrong(middle) <= error ? far : near) = middle;
     }
-    return {};
+    Stacked out{{}, far};
+    for (int k = count - 1; k >= 0; --k)
+        out.heights.push_back((low + high) / 2 + half * std::cos(pi * (2 * k + 1) / (2 * count)));
+    return out;
 }
 
 // None is read across a hard edge of a beam, where the sum has a step.
-Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
-               const std::vector<double>& planes, const Layout& layout, double step, double near) {
+Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles, const Stacked& planes,
+               const Layout& layout, double step, double near) {
     const Model& model = scene.survey.model;
     const auto each = static_cast<std::size_t>(tiled.each);
     double lowest = HUGE_VAL, highest = 0;
@@ -255,11 +259,11 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
     const Beams beams(scene, group.traces);
     std::vector<Onto> stack;
     if (!tiled.flat) {
-        for (const double plane : planes) stack.emplace_back(group, plane);
+        for (const double plane : planes.heights) stack.emplace_back(group, plane);
     }
     const auto on_planes = [&](const Point* corners) {
         return std::all_of(stack.begin(), stack.end(), [&](const Onto& onto) {
-            if (!(beside(onto, group, corners, tiled.each) > 0)) return false;
+            if (!(beside(onto, group, corners, tiled.each) > planes.closest)) return false;
             return std::all_of(corners, corners + each, [&](const Point& corner) {
                 return ground_between(onto(corner)->place, group.centre) >= apart;
             });
@@ -273,7 +277,7 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
         const double away = std::hypot(std::max(ground - radius, 0.0), lowest);
         const auto [lit, whole] = beams(middle, radius);
         if (!lit) continue;
-        bool read = away >= near && away - reach >= least && radius <= wide * ground && whole;
+        bool read = (!tiled.flat || away >= near) && away - reach >= least && radius <= wide * ground && whole;
         read =
             read && group.distance(middle) - radius - reach >= layout.apart && on_planes(&tiled.corners[each * tile]);
         const auto [inside, heard] = records(middle, radius, more, read);

@@ -33,12 +33,17 @@ class Onto {
     double plane_, across_;
 };
 
-// Heights of the planes that pixels are read from by polynomials of height; none where too many were needed. `error`:
-// what reading pixels off their planes may cost.
-std::vector<double> stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error);
+// Heights of the planes that pixels are read from by polynomials of height, and how far beside a group's axis they lie
+// at least.
+struct Stacked {
+    std::vector<double> heights;
+    double closest = 0;
+};
+// Of `count` planes; none where no distance is enough. `error`: what reading pixels off their planes may cost.
+Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error, int count);
 
 // Of `tiles`, all of them with pixels wanted, read from `planes` by nodes `step` apart, from slant range `near` on.
-Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles,
-               const std::vector<double>& planes, const Layout& layout, double step, double near);
+Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles, const Stacked& planes,
+               const Layout& layout, double step, double near);
 
 }  // namespace pysas

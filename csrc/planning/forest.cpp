@@ -73,8 +73,8 @@ struct Share {
     double value() const { return through / std::max(everything, 1.0); }
 };
 
-std::vector<double> planes_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double relief) {
-    return tiled.flat ? std::vector<double>{tiled.plane} : stack_of(scene, tiled, groups, relief);
+Stacked planes_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, const OffPlanes& relief) {
+    return tiled.flat ? Stacked{{tiled.plane}} : stack_of(scene, tiled, groups, relief.error, relief.count);
 }
 
 // What a group does for one plane of a section's stack.
@@ -116,11 +116,11 @@ struct ForestMaker {
     Poll& poll;
 
     // Adds a section's layers; false where it cannot be read.
-    bool look(const Tiled& tiled, double near, double relief, bool whole) {
+    bool look(const Tiled& tiled, double near, const OffPlanes& relief, bool whole) {
         const Numbers tiles = wanted_tiles(tiled, 0);
         if (tiles.empty()) return true;
         const auto planes = planes_of(scene, tiled, groups, relief);
-        if (planes.empty()) return false;
+        if (planes.heights.empty()) return false;
         std::vector<Fates> fates;
         for (const Group& group : groups) {
             poll();
@@ -128,8 +128,8 @@ struct ForestMaker {
             const auto& direct = fates.back().direct;
             if (whole && std::find(direct.begin(), direct.end(), 1) != direct.end()) return false;
         }
-        for (std::size_t k = 0; k < planes.size(); ++k) {
-            Layer layer{tiled, planes, static_cast<int>(k), {}};
+        for (std::size_t k = 0; k < planes.heights.size(); ++k) {
+            Layer layer{tiled, planes.heights, static_cast<int>(k), {}};
             for (std::size_t g = 0; g < groups.size(); ++g) layer.seen.push_back(seen_of(layer, groups[g], fates[g]));
             layers.push_back(std::move(layer));
         }
@@ -253,7 +253,8 @@ bool less(const Rate& a, const Rate& b) { return std::int64_t{a.phases} * b.step
 
 }  // namespace
 
-Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near, double relief) {
+Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
+              const OffPlanes& relief) {
     const auto centres = phase_centres(geometry_of(scene));
     auto pieces = cut(scene, centres, layout.length);
     const auto count = static_cast<std::int64_t>(pieces.size()),
@@ -266,8 +267,8 @@ Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout&
     for (const Tiled& tiled : image) {
         if (!tiled.any()) continue;
         const auto planes = planes_of(scene, tiled, groups, relief);
-        if (planes.empty()) return {0, 1, count};
-        deepest = std::max(deepest, planes.size());
+        if (planes.heights.empty()) return {0, 1, count};
+        deepest = std::max(deepest, planes.heights.size());
         const Numbers some = wanted_tiles(tiled, judged_tiles);
         for (const Group& group : groups) {
             const Fates fates = fates_of(scene, group, tiled, some, planes, layout, first_step(scene, layout), near);
@@ -290,7 +291,7 @@ Rate simple_rate(double least) {
 }
 
 std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
-                                         double near, double relief, double least, bool whole, Poll& poll) {
+                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll) {
     const Survey& survey = scene.survey;
     ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll};
     for (Numbers& piece : cut(scene, maker.centres, layout.length))

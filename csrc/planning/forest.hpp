@@ -21,9 +21,14 @@ struct Served {
     int planes;
     std::int64_t groups;
 };
-// `near`: slant range from which tiles are read; `relief`: relative error that reading pixels off their planes may
-// cost.
-Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near, double relief);
+// How pixels off the planes of sub-images are read: from how many, and the relative error that this may cost.
+struct OffPlanes {
+    int count;
+    double error;
+};
+// `near`: slant range from which tiles are read.
+Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,
+              const OffPlanes& relief);
 
 // What trees do, each as often as a plane asks: terms and nodes of leaves, (node, child) pairs merged, pixels read one
 // by one, traces prepared.
@@ -52,7 +57,7 @@ Rate simple_rate(double least);
 // All trees of an image; nothing where no pixel can be read from one (`whole`: not all), or where trees have more nodes
 // than the sum has terms. `least`: nodes per sample at least; `poll`: asked once a group.
 std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
-                                         double near, double relief, double least, bool whole, Poll& poll);
+                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll);
 
 // Counted, but that leaves of a tree are taken to have as many traces each.
 Work work_of(const Forest& forest);

@@ -126,7 +126,7 @@ double restore(const View<Sample, 2>& image, double scale, std::int64_t traces, 
 // An image as sums take it: its lines, or one line of points.
 template <typename Pixel>
 View<Pixel, 2> lines_of(const Recipe& recipe, const View<Pixel, 2>& image) {
-    if (recipe.image.straight() || recipe.forest) return image;
+    if (recipe.image.lined() || recipe.forest) return image;
     return {image.data, {1, image.shape[0] * image.shape[1]}, {0, image.stride[1]}};
 }
 
@@ -242,7 +242,7 @@ Totals Imaging::sum(const Ready& ready, const View<const Sample, 3>& data, const
     };
     if (sizeof(Sample) == sizeof(std::complex<float>) && ready.plan.wide()) return aside(std::complex<double>());
     const bool dense = image.stride[0] == image.shape[1] * image.stride[1];
-    if (!dense && !recipe.image.straight()) return aside(Sample());
+    if (!dense && !recipe.image.lined()) return aside(Sample());
     every(image, threads, [](Sample& pixel, std::int64_t) { pixel = 0; });
     return run(recipe, data, used, scale, lines_of(recipe, image), threads, kernels_, *work_, tick);
 }

@@ -112,6 +112,29 @@ std::int64_t Plan::memory() const {
     return pixels * (scene->survey.single ? 8 : 16) + static_cast<std::int64_t>(work);
 }
 
+namespace {
+
+// Between which heights the pixels of tiles lie.
+std::vector<double> spans_of(const Image& image) {
+    std::vector<double> out;
+    for (std::int64_t top = 0; top < image.height; top += tile_rows) {
+        for (std::int64_t left = 0; left < image.width; left += image.count) {
+            double low = HUGE_VAL, high = -HUGE_VAL;
+            for (std::int64_t r = top; r < std::min<std::int64_t>(top + tile_rows, image.height); ++r) {
+                for (std::int64_t m = left; m < std::min<std::int64_t>(left + image.count, image.width); ++m) {
+                    const double z = *image.heights.from(r, m).z - image.heights.origin;
+                    low = std::min(low, z);
+                    high = std::max(high, z);
+                }
+            }
+            out.insert(out.end(), {low, high});
+        }
+    }
+    return out;
+}
+
+}  // namespace
+
 Recipe Plan::recipe() const {
     const Survey& survey = scene->survey;
     Recipe out{};
@@ -129,6 +152,7 @@ Recipe Plan::recipe() const {
     out.weights = survey.weights;
     out.reader = reader_of(settings);
     fit_trigonometry(settings.terms, out.sine, out.cosine);
+    out.rise = settings.rise;
     out.nodes = chebyshev(settings.narrow ? Sizes<float>::nodes : Sizes<double>::nodes);
     const Pixels& pixels = scene->pixels;
     out.image.height = pixels.height;
@@ -143,7 +167,9 @@ Recipe Plan::recipe() const {
     if (block) {
         out.image.first = pixels.first;
         out.image.step = pixels.step;
+        out.image.heights = pixels.heights;
         out.image.count = block;
+        if (pixels.heights.z) out.image.spans = spans_of(out.image);
     }
     out.batch = settings.batch;
     out.lattice = survey.lattice;
@@ -167,7 +193,7 @@ std::string Plan::describe(const std::string& shape, std::int64_t more) const {
     out += "  interpolation  degree " + text(s.filter.degree) + " at " + number(s.oversampling, 3) +
            " x the sample rate\n";
     out += "  delay          " + std::string(words_of(scene->kind)) + ", " +
-           (s.block ? "polynomials over " + text(s.block) + " pixels, exact below " + number(s.near, 3) + " m"
+           (s.block ? "polynomials over " + text(s.block) + " pixels, shorter ones below " + number(s.near, 3) + " m"
                     : "exact per pixel") +
            "\n";
     out += "  terms          " + number(static_cast<double>(scene->traces()) * static_cast<double>(scene->wanted), 4) +

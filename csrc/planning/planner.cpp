@@ -25,6 +25,7 @@ constexpr double share_positions = 0.03;  // of a budget, for polynomials of pos
 constexpr double share_ends = 0.2;
 // of a budget, for what a beam's taper leaves beyond the bands of sub-images across their rays, and along them
 constexpr double share_fading = 0.15, share_ramp = 0.05;
+constexpr int most_planes = 6;        // that pixels off them are read from
 constexpr double share_relief = 0.2;  // of a budget, for pixels read off the planes of their sub-images, where any are
 // wavelengths: beyond it sub-images have more nodes than memory holds, and double loses 1e-5 anyway
 constexpr double farthest = 1e9;
@@ -64,7 +65,8 @@ struct Candidate {
     std::vector<Tiled> image;
     Layout layout;
     int block;
-    double near, share, relief, height, seconds;
+    double near, share, height, seconds;
+    OffPlanes relief;
     std::int64_t trees;
 };
 
@@ -92,7 +94,7 @@ class Planner {
     // A tree for each of the longest groups, or why all is summed directly, as `plain` has it; an error where that is
     // forbidden. With "auto" planning the trees counts beside their sums.
     Found<Plan> trees(const Plan& plain, Poll& poll) const {
-        const bool automatic = wish_.method == Method::automatic, fallback = wish_.fallback || automatic;
+        const bool automatic = wish_.method == Method::automatic, fallback = stands_in();
         const double most = fallback && wish_.pay ? plain.seconds : infinite;
         const double planning = automatic ? judged_threads * plan_seconds : 0;
         if (most <= 3 * planning) {  // looking for a layout alone takes about as long
@@ -129,7 +131,7 @@ class Planner {
         if (!no.empty()) return {{}, no, {}};
         Candidate out{};
         out.share = share;
-        if (s_.pixels.straight()) {
+        if (s_.pixels.lined()) {
             const Delay delay = choose_delay(s_, share, costs_, true, share_rounding, true);
             if (delay.block == 0) return {{}, "pixels too coarse for float32 blocks", {}};
             out.block = even_split(s_.pixels.width, delay.block);
@@ -146,7 +148,7 @@ class Planner {
         out.height = std::max(top - s_.low.z, s_.high.z - bottom);
         out.image = tiles_of(s_, out.block);
         const bool flat = std::all_of(out.image.begin(), out.image.end(), [](const Tiled& t) { return t.flat; });
-        out.relief = flat ? 0 : share_relief * tol;
+        out.relief = {1, flat ? 0 : share_relief * tol};
         const Parallel* lines = nullptr;
         for (Tiled& tiled : out.image) {
             if (out.block > 0 && tiled.flat)
@@ -156,7 +158,7 @@ class Planner {
         const bool fades = s_.light.terms > 0;
         const double fading = fades ? share_fading * tol : 0, ramp = fades ? share_ramp * tol : 0;
         const double bright = s_.brightness();  // which what weights are wrong by is relative to
-        const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief - fading - ramp);
+        const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief.error - fading - ramp);
         if (kinds.empty()) return {{}, "no interpolation keeps tol", {}};
         const double direct = sum_seconds(s_, plain, costs_);
         const auto options = cheapest(s_, kinds, costs_, lines, spare, fading * bright, direct);
@@ -167,16 +169,20 @@ class Planner {
         if (all > most) return {{}, longer, "at least " + time(all)};
         // what groups of a length serve is known only once it is looked at
         double least = infinite;
-        for (std::size_t i = 0; i < std::min(options.size(), looked_at); ++i) {
+        for (std::size_t i = 0; i < std::min(options.size(), flat ? looked_at : options.size()); ++i) {
             const Layout layout = clear(options[i].layout, out);
-            const Served served = pysas::served(s_, out.image, layout, out.near, out.relief);
-            const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
-            const std::int64_t count = served.planes * served.groups;
-            const double alone = judged_threads * tree_seconds * static_cast<double>(count);
-            const double cost = wish_.pay ? seconds + alone : -served.share;  // or as much as trees can do
-            if (!(cost < least)) continue;
-            least = cost;
-            out.layout = layout, out.seconds = seconds, out.trees = count;
+            for (int planes = 1; planes <= (flat ? 1 : most_planes); ++planes) {
+                const OffPlanes relief{planes, out.relief.error};
+                const Served served = pysas::served(s_, out.image, layout, out.near, relief);
+                const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
+                const std::int64_t count = served.planes * served.groups;
+                const double alone = judged_threads * tree_seconds * static_cast<double>(count);
+                // or as much as trees can do
+                const double cost = wish_.pay && stands_in() ? seconds + alone : -served.share;
+                if (!(cost < least)) continue;
+                least = cost;
+                out.layout = layout, out.seconds = seconds, out.trees = count, out.relief = relief;
+            }
         }
         if (!(least < infinite)) return {{}, "no layout has a cost", {}};
         return {std::move(out), {}, {}};
@@ -190,6 +196,9 @@ class Planner {
     std::string time(double seconds) const { return number(seconds / wish_.threads, 2) + " s predicted"; }
 
   private:
+    // Whether direct sums may stand in for trees.
+    bool stands_in() const { return wish_.fallback || wish_.method == Method::automatic; }
+
     double direct_seconds(const Settings& settings) const {
         return sum_seconds(s_, settings, costs_) + prepare_seconds(settings, s_.audible);
     }
@@ -238,15 +247,23 @@ class Planner {
     // all).
     Found<Plan> make_trees(const Candidate& best, bool whole, double most, Poll& poll) const {
         Layout layout = best.layout;
+        OffPlanes relief = best.relief;
         const auto made = [&](double least) {
-            return make_forest(s_, best.image, clear(layout, best), best.near, best.relief, least, whole, poll);
+            return make_forest(s_, best.image, clear(layout, best), best.near, relief, least, whole, poll);
         };
-        auto planned = made(0);
+        // from more planes nearer pixels can be read
+        const auto from_any = [&] {
+            auto found = made(0);
+            for (; !found && relief.error > 0 && relief.count < most_planes; found = made(0)) ++relief.count;
+            if (!found) relief.count = best.relief.count;
+            return found;
+        };
+        auto planned = from_any();
         // shorter groups see more as from a line, and nearer pixels from afar
         const double parts = std::max(longer_groups, static_cast<double>(best.trees) / std::max(most, 1e-9));
         while (!planned && layout.length > best.layout.length * parts) {
             layout.length *= 0.7;
-            planned = made(0);
+            planned = from_any();
         }
         while (planned) {
             auto wider = std::make_shared<Scene>(s_);
@@ -271,7 +288,7 @@ class Planner {
         settings.errors.emplace_back("sub-images",
                                      std::hypot(tree_error(planned.layout.taps, planned.layout.fans.size() + 1), ends));
         if (merges > 0) settings.errors.emplace_back("positions", share_positions * tol * merges / most_merges);
-        if (best.relief > 0) settings.errors.emplace_back("relief", best.relief);
+        if (best.relief.error > 0) settings.errors.emplace_back("relief", best.relief.error);
         if (s_.light.terms > 0) settings.errors.emplace_back("taper", (share_fading + share_ramp) * tol);
         planned.forest.slack = share_phase * best.share;
         settings.near = std::max(settings.near, best.near);  // tiles are as wide as its blocks

@@ -79,7 +79,7 @@ double longest_step(const Pixels& pixels) {
 
 // Largest share of a step along a line that changes the one-way range, over traces and the lines' ends (plus 10 %).
 double slope_of(const Pixels& pixels, const std::vector<Trace>& traces, bool monostatic) {
-    if (!pixels.straight() || pixels.width == 1) return 0;
+    if (!pixels.lined() || pixels.width == 1) return 0;
     const double places[] = {0, static_cast<double>(pixels.width - 1) / 2, static_cast<double>(pixels.width - 1)};
     double worst = 0;
     for (const std::int64_t i : some_of(pixels.height, 9)) {
@@ -163,29 +163,68 @@ std::vector<Point> places_of(const Pixels& pixels, const Numbers& numbers) {
     return out;
 }
 
-void find_lines(const double* points, Pixels& pixels) {
-    const auto height = static_cast<std::size_t>(pixels.height), width = static_cast<std::size_t>(pixels.width);
-    double largest = 0;
-    for (std::size_t i = 0; i < 3 * height * width; ++i) largest = std::max(largest, std::abs(points[i]));
+namespace {
+
+// Lines from row to row of pixels at `place`(line, pixel), all alike if `rows` is 1; whether there are any.
+template <typename Place>
+bool lay_lines(std::int64_t rows, double largest, const Place& place, Pixels& pixels) {
+    const std::int64_t width = pixels.width;
     std::vector<double> first, step;
     double worst = 0;
-    for (std::size_t line = 0; line < height; ++line) {
-        const double* row = points + 3 * line * width;
-        const Point begin = point(row), span = point(row + 3 * (width - 1)) - begin;
+    for (std::int64_t line = 0; line < pixels.height; ++line) {
+        const Point begin = place(line, 0), span = place(line, width - 1) - begin;
         double wrong = 0;
-        for (std::size_t k = 0; k < width; ++k) {
+        for (std::int64_t k = 0; k < width && line < rows; ++k) {
             const double share = width > 1 ? static_cast<double>(k) / static_cast<double>(width - 1) : 0;
-            wrong = std::max(wrong, length(point(row + 3 * k) - begin - share * span));
+            wrong = std::max(wrong, length(place(line, k) - begin - share * span));
         }
-        if (wrong > 1e-9 * length(span) + 1e-15 * largest) return;
+        if (wrong > 1e-9 * length(span) + 1e-15 * largest) return false;
         worst = std::max(worst, wrong);
-        const Point one = over(span, static_cast<double>(std::max<std::size_t>(width - 1, 1)));
+        const Point one = over(span, static_cast<double>(std::max<std::int64_t>(width - 1, 1)));
         first.insert(first.end(), {begin.x, begin.y, begin.z});
         step.insert(step.end(), {one.x, one.y, one.z});
     }
     pixels.first = std::move(first);
     pixels.step = std::move(step);
     pixels.uneven = worst;
+    return true;
+}
+
+// Lines less an origin; heights have it themselves.
+void about(const Point& origin, Pixels& pixels) {
+    const double less[] = {origin.x, origin.y, pixels.heights.z ? 0 : origin.z};
+    for (std::size_t i = 0; i < pixels.first.size(); ++i) pixels.first[i] -= less[i % 3];
+}
+
+}  // namespace
+
+void find_lines(const double* points, const Point& origin, Pixels& pixels) {
+    double largest = 0;
+    for (std::int64_t i = 0; i < 3 * pixels.size(); ++i) largest = std::max(largest, std::abs(points[i]));
+    const auto at = [&](std::int64_t line, std::int64_t k) { return points + 3 * (line * pixels.width + k); };
+    const auto whole = [&](std::int64_t line, std::int64_t k) { return point(at(line, k)); };
+    const auto above = [&](std::int64_t line, std::int64_t k) { return Point{at(line, k)[0], at(line, k)[1], 0}; };
+    if (!lay_lines(pixels.height, largest, whole, pixels)) {
+        if (!lay_lines(pixels.height, largest, above, pixels)) return;
+        pixels.heights = {points + 2, 3 * pixels.width, 3, origin.z};
+    }
+    about(origin, pixels);
+}
+
+void find_lines(const double* x, const double* y, const double* height, const Point& origin, Pixels& pixels) {
+    double largest = 0;
+    for (std::int64_t k = 0; k < pixels.width; ++k) largest = std::max(largest, std::abs(x[k]));
+    for (std::int64_t k = 0; k < pixels.height; ++k) largest = std::max(largest, std::abs(y[k]));
+    for (std::int64_t i = 0; i < pixels.size(); ++i) largest = std::max(largest, std::abs(height[i]));
+    const auto above = [&](std::int64_t line, std::int64_t k) { return Point{x[k], y[line], 0}; };
+    const auto whole = [&](std::int64_t line, std::int64_t k) {
+        return Point{x[k], y[line], height[line * pixels.width + k]};
+    };
+    if (!lay_lines(pixels.height, largest, whole, pixels)) {
+        if (!lay_lines(1, largest, above, pixels)) return;
+        pixels.heights = {height, pixels.width, 1, origin.z};
+    }
+    about(origin, pixels);
 }
 
 bool Bent::holds(double step, int count) const {
@@ -194,9 +233,24 @@ bool Bent::holds(double step, int count) const {
            step * (least_width - 1) <= rounded * vector;
 }
 
+namespace {
+
+// Weights that change from pixel to pixel are looked up along lines that lie in a plane.
+Pixels weighed(Pixels pixels, const Survey& survey) {
+    if (pixels.heights.z && (survey.lattice || survey.each)) {
+        pixels.first.clear();
+        pixels.step.clear();
+        pixels.heights = {};
+        pixels.uneven = 0;
+    }
+    return pixels;
+}
+
+}  // namespace
+
 Scene::Scene(Survey given, Pixels image, const Point& bottom, const Point& top)
     : survey(std::move(given)),
-      pixels(std::move(image)),
+      pixels(weighed(std::move(image), survey)),
       low(bottom),
       high(top),
       kind(kind_of(survey)),

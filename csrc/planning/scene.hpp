@@ -28,18 +28,23 @@ Points points_on_map(const double* x, const double* y, const double* height, std
 // An image's pixels about its centre, (height, width): `width` is the grid's last axis.
 struct Pixels {
     std::int64_t height = 0, width = 0;
-    std::vector<double> first, step;  // (height, 3) of straight, evenly spaced lines; empty where there are none
+    std::vector<double> first, step;  // (height, 3) of evenly spaced lines; empty where there are none
+    Heights heights;                  // of their pixels, of a map: `points` holds them
     double uneven = 0;                // how far pixels lie off their lines at most, m
     Points points;                    // exact, where lines may be off
     std::vector<std::uint8_t> mask;   // (height, width) 0: not wanted; empty: all are
 
-    bool straight() const { return !first.empty(); }
+    bool lined() const { return !first.empty(); }
+    bool straight() const { return lined() && !heights.z; }
     std::int64_t size() const { return height * width; }
 };
 
-// Give pixels, rows of points (height, width, 3), the lines that they happen to lie on, if they are evenly spaced
-// there: to 1e-9 of a line's length and the rounding of large coordinates.
-void find_lines(const double* points, Pixels& pixels);
+// Give pixels, rows of points (height, width, 3), the lines about an origin that they happen to lie on, if they are
+// evenly spaced there: to 1e-9 of a line's length and the rounding of large coordinates; or that they lie on when
+// looked at from above, with heights of their own.
+void find_lines(const double* points, const Point& origin, Pixels& pixels);
+// The same of a height map over axes x and y.
+void find_lines(const double* x, const double* y, const double* height, const Point& origin, Pixels& pixels);
 
 // Along which lines weights uniform in view angle may be read off their lattice, m; and how far it reaches around the
 // image.

@@ -184,16 +184,31 @@ bool fades(const Scene& scene, double budget, bool narrow) {
            scene.faded <= share_phase * budget * scene.brightness();
 }
 
+// A way's length is a quadratic in height through the places in the middle and h above and below. It is wrong by
+// its third derivative's sixth, at most 2/(5 r^2) (see choose_delay), times 0.385 h^3; and a polynomial along each of
+// the three lines counts 1.25 times. The sine of a fan's angle is linear in height, its second derivative at most 2/r^2
+// of it; h and what a line rises make offsets that round as those along lines do.
+Rise rise_of(const Scene& scene, double error, bool narrow) {
+    const double wave = scene.survey.model.fc / scene.survey.model.c, eps = narrow ? 0x1p-24 : 0x1p-53;
+    const double steep = pi / 2 * scene.light.per * scene.light.sine_half;
+    return {std::sqrt(2 * pi * wave * 2 * 1.3 * 0.154 / error), std::sqrt(steep / (error * scene.brightness())),
+            error / (2 * pi * wave * eps)};
+}
+
 // All but how samples are read.
 Settings arithmetic_of(const Scene& scene, double budget, const Costs& costs, double rounding) {
     Settings s{};
     s.narrow = scene.survey.single || budget >= 1e-5 * (1 - 1e-9);
-    if (scene.pixels.straight()) {
+    if (scene.pixels.lined()) {
         const Delay delay = choose_delay(scene, budget, costs, s.narrow, rounding, false);
         s.block = delay.block, s.near = delay.near;
         if (s.block > 0) s.errors = {{"rounding", delay.rounding}, {"delay polynomial", share_phase * budget}};
         s.quick = s.block > 0 && fades(scene, budget, s.narrow);
         if (s.quick) s.errors.emplace_back("beam", scene.faded / scene.brightness() + share_phase * budget);
+        if (s.block > 0 && scene.pixels.heights.z) {
+            s.rise = rise_of(scene, share_phase * budget, s.narrow);
+            s.errors.emplace_back("heights", (s.quick ? 3.25 : 2.25) * share_phase * budget);
+        }
     }
     if (s.narrow && s.block == 0) s.errors.emplace_back("rounding", 0x1p-22);
     const double least = s.narrow ? 0x1p-23 : 1e-14;

@@ -24,7 +24,8 @@ double sum_of(const Errors& errors);
 struct Settings {
     bool narrow;       // float arithmetic
     int block;         // pixels to a delay polynomial; 0: every pixel's own delay
-    double near;       // distance below which delays are exact, m
+    double near;       // distance below which blocks are summed by parts, m
+    Rise rise;         // of lines whose pixels have heights of their own
     bool quick;        // weights of fans that fade by their powers, see Light
     int terms;         // of the sine's polynomial
     std::int64_t run;  // traces summed in float before these sums are added up in double; 0: any number

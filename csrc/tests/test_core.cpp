@@ -391,7 +391,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         scene.pixels.first.data(), scene.pixels.step.data(), nullptr, scene.pixels.mask.data(), height, width, 64};
     const pysas::Tick none;
     pysas::Poll poll(none);
-    const pysas::Served judged = pysas::served(scene, image, layout, 1, 0);
+    const pysas::Served judged = pysas::served(scene, image, layout, 1, {1, 0});
     CHECK(std::abs(judged.share - 1) < 0.1 && judged.planes == 1 && judged.groups > 1);
     std::ptrdiff_t columns = 0;
     for (const std::vector<int>& fans :
