@@ -126,15 +126,21 @@ def test_gaps_are_told_and_late_pings_warned_of():
 
 
 def test_height_maps_and_both_engines():
-    echoes = survey(pings=16, channels=4)
+    echoes, asked = survey(pings=16, channels=4), []
 
     def ground(x, y):
+        asked.append(float(x[0]))
         return 0.1 * np.sin(y)[:, None] * np.cos(x)[None, :]
 
     for backend in ("auto", "numba"):
         strip = pysas.Strip(Y[::4], 0.2, 2.0, z=ground, tol=1e-3, backend=backend)
+        asked.clear()
         images = list(strip.stream(fed(echoes, (5,))))
         assert all(image.grid.kind == "surface" for image in images)
+        for image in images:  # each once, beside some places between them that tell how far beams reach
+            x, y = image.grid.axes["x"], image.grid.axes["y"]
+            assert asked.count(float(x[0])) == 1
+            assert np.array_equal(image.grid.height, 0.1 * np.sin(y)[:, None] * np.cos(x)[None, :])
         for image in images[1:3]:
             assert wrong(image, echoes, 1e-3) <= 1
 
@@ -159,3 +165,6 @@ def test_what_is_no_strip():
         list(strip.stream([echoes, echoes.replace(beam=other)]))
     with pytest.raises(ValueError, match="data"):
         list(strip.stream([echoes, echoes.replace(data=echoes.data[..., :-1])]))
+    for wrong_z in (lambda x, y: np.zeros((3, x.size)), lambda x, y: np.full((y.size, x.size), np.nan)):
+        with pytest.raises(ValueError, match="z: "):
+            list(pysas.Strip(Y, 0.05, 1.0, z=wrong_z).stream([echoes]))

@@ -1,6 +1,7 @@
 // The C ABI: arguments checked for null and size here, for meaning in planning/callers.cpp; every exception becomes a
 // code.
 #include <algorithm>
+#include <cmath>
 #include <complex>
 #include <cstddef>
 #include <cstring>
@@ -63,7 +64,9 @@ void execute(const pysas_plan& plan, const void* data, const std::int64_t* data_
     std::copy_n(image_stride ? image_stride : rows, 2, to.stride);
     pysas::check_image(to.shape, to.stride, image, from.shape, from.stride, data, sizeof(Sample));
     const pysas::Done done = plan.imaging(from, to, true, plan.tick);
-    if (done.lost > 0 || done.loudest >= 0)
+    const pysas::Plan& by = done.by->plan;
+    const bool lost = done.lost > 0 && std::hypot(done.lost, by.predicted_error()) > by.wish.tol;
+    if (lost || done.loudest >= 0)
         throw pysas::Error(pysas::Code::range, "the image lies beyond the range of its type");
     if (done.beside > 0)
         throw pysas::Error(pysas::Code::tolerance, "tol: samples beside those that pixels read are too bright");

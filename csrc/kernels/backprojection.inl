@@ -371,7 +371,7 @@ bool in_halves(const TileJob<typename V::real>& tile, const Ball& ball) {
         if (!ball.lit(trace, job.light)) continue;
         const double there = ball.from(trace.tx), back = ball.from(trace.rx);
         ++lit;
-        near += (there < back ? there : back) < tile.near + ball.radius;
+        near += (there < back ? there : back) < tile.near;  // of half its lines at least
     }
     return near * times > lit;
 }

@@ -66,13 +66,14 @@ double term_ns(const Scene& scene, const Costs& costs, bool narrow, int block, d
         before = below;
     }
     const double each = costs.coefficient * (degree + 1) * mean;
-    // lines of which any pixel is that near are summed by halves, and where a vector is too long pixel by pixel
+    // lines of which any pixel is that near are summed by halves, which cost twice what their number adds, and where a
+    // vector is too long pixel by pixel
     const auto nearer = [&](double count) {
         return std::min(1.0, scene.within((near + block * scene.step / 2) * count / block) / part);
     };
     // three polynomials each where pixels have heights
     double count = block, lines = scene.pixels.heights.z ? 3 : 1;
-    for (double more = lines; count > lanes; count /= 2) lines += more * nearer(count) * block / count;
+    for (double more = lines; count > lanes; count /= 2) lines += 2 * more * nearer(count) * block / count;
     const double share = nearer(count);
     return share * own + (1 - share) * (wide * padded * ((scene.pixels.heights.z ? 1.5 : 1) * costs.term + each) +
                                         costs.line * lines / block);

@@ -25,6 +25,7 @@ constexpr double share_positions = 0.03;  // of a budget, for polynomials of pos
 constexpr double share_ends = 0.2;
 // of a budget, for what a beam's taper leaves beyond the bands of sub-images across their rays, and along them
 constexpr double share_fading = 0.15, share_ramp = 0.05;
+constexpr double few_nodes = 4;       // of a sub-image: smaller images are summed directly
 constexpr int most_planes = 6;        // that pixels off them are read from
 constexpr double share_relief = 0.2;  // of a budget, for pixels read off the planes of their sub-images, where any are
 // wavelengths: beyond it sub-images have more nodes than memory holds, and double loses 1e-5 anyway
@@ -60,14 +61,24 @@ const TapDesign& taps_of(std::size_t row) {
     return designs[row];
 }
 
-// Where trees could stand: the best layout and what sums cost with it on one thread, before any tree is made.
+// A layout, how pixels off planes are read, and what sums cost with them on one thread, before any tree is made; trees
+// cost `cost`, or serve as much of all terms as that says.
+struct Choice {
+    Layout layout;
+    OffPlanes relief;
+    double cost, seconds;
+    std::int64_t trees;
+};
+
+// Where trees could stand, the best choices first.
 struct Candidate {
     std::vector<Tiled> image;
-    Layout layout;
     int block;
-    double near, share, height, seconds;
+    double near, share, height;
     OffPlanes relief;
-    std::int64_t trees;
+    std::vector<Choice> choices;
+
+    const Choice& best() const { return choices.front(); }
 };
 
 // Either what was looked for, or why there is none.
@@ -103,10 +114,11 @@ class Planner {
         }
         const auto found = candidate(plain.settings, most - planning);
         constexpr double alone = judged_threads * tree_seconds;
-        if (found.value && found.value->seconds + alone * static_cast<double>(found.value->trees) > most - planning)
+        if (found.value &&
+            found.value->best().seconds + alone * static_cast<double>(found.value->best().trees) > most - planning)
             return {{}, longer, predicted(*found.value, plain.settings)};
         Found<Plan> made{{}, found.why, {}};
-        if (found.value) made = make_trees(*found.value, !fallback, (most - planning) / alone, poll);
+        if (found.value) made = best_trees(*found.value, !fallback, (most - planning) / alone, poll);
         if (made.value) {
             const auto count = static_cast<double>(made.value->trees->count);
             const bool pays = made.value->seconds + alone * count <= most;
@@ -168,7 +180,6 @@ class Planner {
                            })->all;
         if (all > most) return {{}, longer, "at least " + time(all)};
         // what groups of a length serve is known only once it is looked at
-        double least = infinite;
         for (std::size_t i = 0; i < std::min(options.size(), flat ? looked_at : options.size()); ++i) {
             const Layout layout = clear(options[i].layout, out);
             for (int planes = 1; planes <= (flat ? 1 : most_planes); ++planes) {
@@ -177,27 +188,28 @@ class Planner {
                 const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
                 const std::int64_t count = served.planes * served.groups;
                 const double alone = judged_threads * tree_seconds * static_cast<double>(count);
-                // or as much as trees can do
-                const double cost = wish_.pay && stands_in() ? seconds + alone : -served.share;
-                if (!(cost < least)) continue;
-                least = cost;
-                out.layout = layout, out.seconds = seconds, out.trees = count, out.relief = relief;
+                const double cost = by_time() ? seconds + alone : -served.share;
+                out.choices.push_back({layout, relief, cost, seconds, count});
             }
         }
-        if (!(least < infinite)) return {{}, "no layout has a cost", {}};
+        std::stable_sort(out.choices.begin(), out.choices.end(),
+                         [](const Choice& a, const Choice& b) { return a.cost < b.cost; });
         return {std::move(out), {}, {}};
     }
 
     // Predicted time of a candidate.
     std::string predicted(const Candidate& candidate, const Settings& plain) const {
-        const double alone = static_cast<double>(candidate.trees * wish_.threads) * tree_seconds;
-        return time(candidate.seconds + prepare_seconds(plain, s_.audible) + alone);
+        const double alone = static_cast<double>(candidate.best().trees * wish_.threads) * tree_seconds;
+        return time(candidate.best().seconds + prepare_seconds(plain, s_.audible) + alone);
     }
     std::string time(double seconds) const { return number(seconds / wish_.threads, 2) + " s predicted"; }
 
   private:
     // Whether direct sums may stand in for trees.
     bool stands_in() const { return wish_.fallback || wish_.method == Method::automatic; }
+
+    // Trees that take the least time, or else as much as trees can do.
+    bool by_time() const { return wish_.pay && stands_in(); }
 
     double direct_seconds(const Settings& settings) const {
         return sum_seconds(s_, settings, costs_) + prepare_seconds(settings, s_.audible);
@@ -209,6 +221,9 @@ class Planner {
         if (wish_.budget < tree_tol * (1 - 1e-9)) return "tol below " + number(tree_tol, 6);
         if (s_.farthest > farthest * model.c / model.fc) return "range beyond " + number(farthest, 6) + " wavelengths";
         if (s_.audible == 0) return "the grid lies outside the recorded window";
+        // reads at unrelated places between nodes are what bounds of sub-images' errors rest on
+        if (length(s_.high - s_.low) < few_nodes * model.c / (4 * s_.survey.band * model.fs))
+            return "the image is no larger than a few nodes of a sub-image";
         if (s_.survey.each) return "view-angle weights are every pixel's own: views change their order over the image";
         if (s_.light.terms > 0 && s_.survey.bent) return "view-angle weights beside a beam's taper";
         if (const auto& bent = s_.survey.bent) {
@@ -243,13 +258,26 @@ class Planner {
                        share_ends * tol, share_ramp * tol * s_.brightness());
     }
 
-    // About `most` trees of the best candidate, in shorter groups where its own reach too few pixels (`whole`: not
-    // all).
-    Found<Plan> make_trees(const Candidate& best, bool whole, double most, Poll& poll) const {
+    // About `most` trees of the best choice; or of those that serve most, which is known once they are made.
+    Found<Plan> best_trees(const Candidate& candidate, bool whole, double most, Poll& poll) const {
+        if (by_time()) return make_trees(candidate, candidate.best(), whole, most, poll);
+        Found<Plan> best;
+        for (const Choice& choice : candidate.choices) {
+            auto made = make_trees(candidate, choice, whole, most, poll);
+            const bool better = made.value && (!best.value || made.value->share() > best.value->share());
+            if (better || (!best.value && best.why.empty())) best = std::move(made);
+            if (best.value && best.value->share() >= 1) break;
+        }
+        return best;
+    }
+
+    // In shorter groups where its own reach too few pixels (`whole`: not all).
+    Found<Plan> make_trees(const Candidate& candidate, const Choice& best, bool whole, double most, Poll& poll) const {
         Layout layout = best.layout;
         OffPlanes relief = best.relief;
         const auto made = [&](double least) {
-            return make_forest(s_, best.image, clear(layout, best), best.near, relief, least, whole, poll);
+            return make_forest(s_, candidate.image, clear(layout, candidate), candidate.near, relief, least, whole,
+                               poll);
         };
         // from more planes nearer pixels can be read
         const auto from_any = [&] {
@@ -270,8 +298,8 @@ class Planner {
             wider->first = planned->first;
             wider->last = planned->last;
             const Forest& forest = planned->forest;
-            if (auto settings = choose_for_leaves(*wider, best.share, costs_, forest.phases, forest.per_samples))
-                return {finish(std::move(wider), std::move(*planned), std::move(*settings), best), {}, {}};
+            if (auto settings = choose_for_leaves(*wider, candidate.share, costs_, forest.phases, forest.per_samples))
+                return {finish(std::move(wider), std::move(*planned), std::move(*settings), candidate), {}, {}};
             // near a record's end tables hold all frequencies that samples can: their intervals must be shorter for
             // that
             const double rate = static_cast<double>(forest.phases) / forest.per_samples;

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,7 +52,8 @@ class Strip:
     origin : float
         x of a first column of images: they begin at origin + number length.
     z : float or callable
-        Height of the ground, m, or a function of the vectors x and y that returns heights (row, column).
+        Height of the ground, m, or a function of the vectors x and y that returns heights (row, column); it is asked once
+        for each image.
     tol, method, threads, backend, nan
         As in `pysas.plan`. Errors of blocks add as squares, as R^2 of an image does, so that each image keeps `tol`.
     block : float, optional
@@ -66,7 +68,8 @@ class Strip:
 
     Notes
     -----
-    Memory: images as long as a footprint and an image, a block's image of a footprint and a block, the block's pings.
+    Memory: images as long as a footprint and an image, with their heights, a block's image of a footprint and a block, the
+    block's pings.
     """
 
     @_checks.usual_errors
@@ -89,10 +92,9 @@ class Strip:
             raise ValueError(f"slack={slack!r}: expected at least 0 m")
         self.options: dict[str, Any] = {"tol": tol, "method": method, "threads": threads, "backend": backend, "nan": nan}
 
-    def grid(self, first: int, count: int) -> Grid:
-        """Pixels of `count` columns from number `first` on."""
-        x = np.asarray(self.origin + self.step * np.arange(first, first + count), dtype=np.float64)
-        return Grid.surface(x, self.y, self.z(x, self.y)) if callable(self.z) else Grid.plane(x, self.y, self.z)
+    def x(self, first: int, count: int) -> FloatArray:
+        """Coordinates of `count` columns from number `first` on, m."""
+        return np.asarray(self.origin + self.step * np.arange(first, first + count), dtype=np.float64)
 
     def stream(self, pings: Iterable[Echoes]) -> Iterator[Image]:
         """Images, in the order of the track, as soon as no ping to come lights them.
@@ -138,6 +140,7 @@ class _Stream:
         self.forward = 0  # 1 or -1 along x, once it is known
         self.given: int | None = None  # the image given away last
         self.reach = (-np.inf, np.inf)  # of the newest ping
+        self.ground: dict[int, FloatArray] = {}  # heights of images to come
         self.before: EnginePlan | None = None  # whose memory is used again
         self.room: ComplexArray = np.empty(0, dtype=np.complex64)
 
@@ -155,21 +158,42 @@ class _Stream:
         low, high = self._left(low, high)
         if low >= high:
             return
-        grid = strip.grid(low, high - low)
+        grid = self._grid(low, high)
         made = plan(echoes, grid, **strip.options)
         if self.before is not None:
             made.by.follow(self.before)
         self.before = made.by
         image = made(echoes.data, self._room(grid, echoes))
-        for number in range(low // strip.columns, (high - 1) // strip.columns + 1):
+
+        def pass_on(number: int) -> None:
             begin = number * strip.columns
-            one = self.pending.get(number)
-            if one is None:
-                data = np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype)
-                one = self.pending[number] = _Pending(data, image.fc, image.c)
+            one = self.pending[number]
             first, last = max(low, begin), min(high, begin + strip.columns)
             one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
             one.reports.append(_share(image.report, (last - first) / (high - low)))
+
+        crossed = range(low // strip.columns, (high - 1) // strip.columns + 1)
+        for number in crossed:
+            if number not in self.pending:
+                data = np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype)
+                self.pending[number] = _Pending(data, image.fc, image.c)
+        with ThreadPoolExecutor(made.threads, thread_name_prefix="pysas-strip") as pool:  # as long as some sums on one
+            list(pool.map(pass_on, crossed))
+
+    def _grid(self, low: int, high: int) -> Grid:
+        """Pixels of columns low to high - 1; heights are asked for once for each image that these cross."""
+        strip = self.strip
+        x, columns = strip.x(low, high - low), strip.columns
+        if not callable(strip.z):
+            return Grid.plane(x, strip.y, strip.z)
+        parts = []
+        for number in range(low // columns, (high - 1) // columns + 1):
+            begin = number * columns
+            if number not in self.ground:
+                found = strip.z(strip.x(begin, columns), strip.y)
+                self.ground[number] = _checks.reals("z", found, [(strip.y.size, columns)], ("row", "column"))
+            parts.append(self.ground[number][:, max(low - begin, 0) : high - begin])
+        return Grid.surface(x, strip.y, np.concatenate(parts, axis=1))
 
     def _room(self, grid: Grid, echoes: Echoes) -> ComplexArray:
         """Where a block's image goes: the same memory from block to block, whose first touch takes as long as some sums."""
@@ -227,7 +251,10 @@ class _Stream:
             sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
             max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
         )  # fmt: skip
-        return Image(one.data, strip.grid(number * strip.columns, strip.columns), report, one.fc, one.c)
+        first = number * strip.columns
+        grid = self._grid(first, first + strip.columns)
+        self.ground.pop(number, None)
+        return Image(one.data, grid, report, one.fc, one.c)
 
 
 def _share(report: Report, share: float) -> Report:

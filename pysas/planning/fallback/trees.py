@@ -29,6 +29,7 @@ LEAVES, ENDS = 0.35, 0.2
 TOL, FARTHEST = 3e-5, 1e9  # float32 sub-images round too much below; wavelengths beyond which there are too many nodes
 RATES = (1.31, 1.43, 1.6, 1.7)  # nodes by what the band needs
 GROUP, LEAST = 64, 32  # traces of a group: its nodes cost about as much as its reads; as many terms as a read costs
+FEW_NODES = 4  # of a sub-image: smaller images are summed directly
 NEAR = 1.15  # a group's centre stays this many lengths away from what is read from it
 WIDE = 0.25  # a tile's radius, seen from a group, at most: rad
 LINE = 192  # pixels of lines that blocks of any length divide
@@ -139,6 +140,11 @@ def why_not(scene: Scene, tol: float) -> str:
         (tol < TOL * (1 - 1e-9), f"tol below {TOL:g}"),
         (scene.farthest > FARTHEST * scene.c / scene.fc, f"range beyond {FARTHEST:g} wavelengths"),
         (not scene.heard.any(), "the grid lies outside the recorded window"),
+        # reads at unrelated places between nodes are what bounds of sub-images' errors rest on
+        (
+            bool(np.linalg.norm(scene.high - scene.low) < FEW_NODES * node),
+            "the image is no larger than a few nodes of a sub-image",
+        ),
         (scene.each, "view-angle weights are every pixel's own: views change their order over the image"),
         (
             lattice is not None and lattice.beyond < view_angles.LONGEST * node,
