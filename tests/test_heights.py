@@ -1,5 +1,7 @@
 """Height maps summed along lines: delays and weights are polynomials along a line and in the height off it."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,41 @@ def test_pixels_close_below_the_track(kind, height, isa):
         assert wrong(pysas.backproject(echoes, grid, tol), echoes, grid) <= tol
 
 
+@pytest.mark.parametrize("slope", [1.5, 3.0, 5.0, 10.0])
+@pytest.mark.parametrize("tol", [1e-2, 1e-3])
+def test_slopes_make_lines_longer(tol, slope, isa):
+    """The delay's polynomial holds for a line's own length, not for what that is from above."""
+    y = np.arange(7.0, 9.0, 0.05)
+    z = slope * X + 0.002 * np.sin(9 * X)[None, :] * np.cos(7 * y)[:, None]
+    echoes, grid = survey(samples=1500).replace(t0=0.0), pysas.Grid.surface(X, y, z)
+    assert wrong(pysas.backproject(echoes, grid, tol), echoes, grid) <= tol
+    hills = pysas.Grid.surface(X, y, slope / 4 * np.sin(4 * X)[None, :] + 0 * y[:, None])
+    assert wrong(pysas.backproject(echoes, hills, tol), echoes, hills) <= tol
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-4])
+def test_a_curtain_has_no_lines(tol, isa):
+    """Rows that stand upright, unevenly."""
+    n, y = 128, np.linspace(2, 5, 40)
+    z = -8 + 8 * np.linspace(0, 1, n) ** 1.05
+    places = np.stack([np.zeros((40, n)), np.repeat(y[:, None], n, 1), np.repeat(z[None], 40, 0)], axis=-1)
+    echoes, grid = survey(samples=1500).replace(t0=0.0), pysas.Grid.points(places)
+    assert wrong(pysas.backproject(echoes, grid, tol), echoes, grid) <= tol
+
+
+@pytest.mark.parametrize(("tilt", "half"), [(1.0, 0.001), (0.6, 0.002), (0.6, 0.02)])
+def test_fans_askew_of_the_ground(tilt, half, monkeypatch, isa):
+    """Weights that turn with height; a term counts where it does in the oracle, whatever vectors are."""
+    z = 4 + 0.04 * np.random.default_rng(4).uniform(-1, 1, (len(Y), len(X)))  # as high as the track: the fan lights some
+    axis = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
+    echoes = survey().replace(beam=pysas.Beam([0.0, 1.0, 0.0], 0.05, half, "fan", 0.5, axis))
+    grid = pysas.Grid.surface(X, Y, z)
+    image = pysas.backproject(echoes, grid, 1e-2)
+    assert wrong(image, echoes, grid) <= 1e-2
+    monkeypatch.setenv("PYSAS_ISA", "baseline")
+    assert image.report.terms == pysas.backproject(echoes, grid, 1e-2).report.terms
+
+
 def test_points_in_rows_are_a_map(isa):
     """The same pixels, the same bits, as a map or as points; rows that run backwards too."""
     echoes, z = survey(BEAMS["fan"]), heights("rough", X, Y)
@@ -165,3 +202,15 @@ def test_a_plan_images_again_in_the_same_memory(isa):
     after = pysas.plan(echoes, grid, 1e-3)
     after.by.follow(plan.by)
     assert np.array_equal(after(echoes.data).data, first)
+
+
+def test_plans_may_be_followed_while_they_work(isa):
+    """Memory goes with the last sum that has it."""
+    echoes, grid = survey(BEAMS["fan"]), pysas.Grid.surface(X, Y, heights("rough", X, Y))
+    plan = pysas.plan(echoes, grid, 1e-3, threads=1)
+    first = plan(echoes.data).data.copy()
+    with ThreadPoolExecutor(2) as pool:
+        images = [pool.submit(lambda: plan(echoes.data).data) for _ in range(40)]
+        while not all(image.done() for image in images):
+            plan.by.follow(pysas.plan(echoes, grid, 1e-2, threads=1).by)
+    assert all(np.array_equal(image.result(), first) for image in images)

@@ -4,6 +4,7 @@
 #include "core/trees.hpp"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "core/columns.hpp"
 #include "core/execution.hpp"
@@ -272,6 +273,7 @@ class Walk {
     }
 
     Raster lines_of(const Section& section, const std::uint8_t* mask) const {
+        if (image_.heights.z && section.begin != 0) throw std::logic_error("a relief is one section");
         return {image_.first.data() + 3 * section.begin,
                 image_.step.data() + 3 * section.begin,
                 nullptr,

@@ -391,9 +391,8 @@ void sum_lines(TileJob<typename V::real>& tile, const Adders<V, N>& add) {
     if (rises) {
         for (int i = 0; i < 6 * tile.rows; ++i) lines[i] = tile.lines[i];
         relief.fit(tile.heights, tile.rows, tile.count, lines);
-        const double near = relief.near(tile.terms->rise);
         whole.lines = lines;
-        whole.near = near > tile.near ? near : tile.near;
+        whole.near = relief.near(tile.terms->rise, tile.near);
     }
     if (!in_halves<V>(whole, ball)) {
         sum_traces<V, N>(whole, rises ? &relief : nullptr, add);

@@ -9,6 +9,7 @@ struct Relief {
     alignas(64) double low[subs][tile_rows], high[subs][tile_rows];  // of vectors of pixels
     double most;                                                     // m
     double reach;                                                    // of pixels above and below their line's middle, m
+    double steep;  // length of a fitted line, of what it is seen from above, at most
 
     // Give `lines` (rows, 6) the slopes and heights that are next to the pixels'.
     void fit(const Heights& heights, int rows, int count, double* lines) {
@@ -17,6 +18,7 @@ struct Relief {
         alignas(64) static constexpr double number[] = {0, 1, 2, 3, 4, 5, 6, 7};
         static_assert(D::n <= 8, "numbers of all lanes");
         most = reach = 0;
+        steep = 1;
         for (int r = 0; r < rows; ++r) {
             const double* z = heights.z + r * heights.row;
             const double first = z[0], last = z[(count - 1) * heights.apart];
@@ -38,6 +40,11 @@ struct Relief {
             }
             const double low_end = -D::largest(D::sub(D::set(0.0), least)), high_end = D::largest(largest);
             const double middle = (low_end + high_end) / 2, half = (high_end - low_end) / 2;
+            const double dx = lines[6 * r + 3], dy = lines[6 * r + 4], square = dx * dx + dy * dy;
+            if (slope != 0) {
+                const double longer = square > 0 ? ::sqrt(1 + slope * slope / square) : HUGE_VAL;
+                steep = longer > steep ? longer : steep;
+            }
             lines[6 * r + 2] = first - heights.origin + middle;
             lines[6 * r + 5] = slope;
             for (int m = 0; m < count; m += D::n) D::store(to + m, D::sub(D::load(to + m), D::set(middle)));
@@ -65,10 +72,12 @@ struct Relief {
         }
     }
 
-    // Distance from which polynomials in height hold.
-    double near(const Rise& rise) const {
-        if (reach > rise.highest) return HUGE_VAL;
+    // Distance from which polynomials in height hold, and those along lines that hold from `level` on where lines are
+    // level: these are wrong by the N-th power of a line's length, over the (N - 1)-th of the distance.
+    double near(const Rise& rise, double level) const {
+        if (reach > rise.highest || !(steep < HUGE_VAL)) return HUGE_VAL;
         const double cubic = rise.cubic * most * ::sqrt(most), fading = rise.fading * most;
-        return cubic > fading ? cubic : fading;
+        const double height = cubic > fading ? cubic : fading, along = level * steep * ::sqrt(::sqrt(steep));
+        return height > along ? height : along;
     }
 };

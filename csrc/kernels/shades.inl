@@ -88,7 +88,8 @@ class Fade {
             vec w = power_[ramp_powers - 1];
             for (int q = ramp_powers - 3; q >= 0; q -= 2) w = V::fma(w, square, V::fma(power_[q + 1], e, power_[q]));
             V::store(weight + s * V::n, V::mul(w, square));
-            if (s > vectors.begin && s < last) continue;  // a fan's middle lies between its edges
+            // a fan's middle lies between its edges, on a line
+            if (!heights && s > vectors.begin && s < last) continue;
             for (int m = s * V::n; m < s * V::n + V::n && m < count; ++m) dark += weight[m] == 0;
         }
         shades.dark[r] = dark;

@@ -135,6 +135,12 @@ View<Pixel, 2> lines_of(const Recipe& recipe, const View<Pixel, 2>& image) {
 Imaging::Imaging(Plan plan)
     : first_(std::make_shared<const Ready>(std::move(plan))), kernels_(kernels_for(first_->plan.wish.isa)) {}
 
+void Imaging::follow(const Imaging& before) {
+    auto work = before.work();
+    const std::lock_guard<std::mutex> lock(guard_);
+    work_ = std::move(work);
+}
+
 std::shared_ptr<const Ready> Imaging::variant(const Verdict& verdict) const {
     const std::pair<bool, double> key{verdict.direct, verdict.wide ? verdict.ends : 0};
     const std::lock_guard<std::mutex> lock(guard_);
@@ -231,11 +237,12 @@ Totals Imaging::sum(const Ready& ready, const View<const Sample, 3>& data, const
                     const View<Sample, 2>& image, const Tick& tick) const {
     const Recipe& recipe = ready.recipe;
     const int threads = ready.plan.wish.threads;
+    const auto held = work();  // until the last of its rooms is back
     const auto aside = [&](auto zero) {
         using Pixel = decltype(zero);
         const Room<Pixel> list(static_cast<std::size_t>(image.shape[0] * image.shape[1]), true);
         const View<Pixel, 2> to{list.get(), {image.shape[0], image.shape[1]}, {image.shape[1], 1}};
-        const Totals totals = run(recipe, data, used, scale, lines_of(recipe, to), threads, kernels_, *work_, tick);
+        const Totals totals = run(recipe, data, used, scale, lines_of(recipe, to), threads, kernels_, *held, tick);
         every(image, threads,
               [from = list.get()](Sample& pixel, std::int64_t number) { pixel = static_cast<Sample>(from[number]); });
         return totals;
@@ -244,7 +251,7 @@ Totals Imaging::sum(const Ready& ready, const View<const Sample, 3>& data, const
     const bool dense = image.stride[0] == image.shape[1] * image.stride[1];
     if (!dense && !recipe.image.lined()) return aside(Sample());
     every(image, threads, [](Sample& pixel, std::int64_t) { pixel = 0; });
-    return run(recipe, data, used, scale, lines_of(recipe, image), threads, kernels_, *work_, tick);
+    return run(recipe, data, used, scale, lines_of(recipe, image), threads, kernels_, *held, tick);
 }
 
 template Done Imaging::operator()(const View<const std::complex<float>, 3>&, const View<std::complex<float>, 2>&, bool,

@@ -42,7 +42,7 @@ class Imaging {
     const Plan& plan() const { return first_->plan; }
 
     // Share what sums keep with one that was before: both may work at a time, and need twice as much then.
-    void follow(const Imaging& before) { work_ = before.work_; }
+    void follow(const Imaging& before);
 
     // Image (ping, channel, sample) into (height, width), which is overwritten. Traces with samples that are not finite
     // are left out, or an error (`whole`). Throws Error(data), Error(range), Error(tolerance) where bright samples
@@ -61,6 +61,10 @@ class Imaging {
 
     std::shared_ptr<const Ready> first_;
     const Kernels& kernels_;
+    std::shared_ptr<Workspace> work() const {
+        const std::lock_guard<std::mutex> lock(guard_);
+        return work_;
+    }
     std::shared_ptr<Workspace> work_ = std::make_shared<Workspace>();
     mutable std::mutex guard_;
     mutable std::unique_ptr<const SomeTerms> terms_;

@@ -165,9 +165,10 @@ std::vector<Point> places_of(const Pixels& pixels, const Numbers& numbers) {
 
 namespace {
 
-// Lines from row to row of pixels at `place`(line, pixel), all alike if `rows` is 1; whether there are any.
+// Lines from row to row of pixels at `place`(line, pixel), all alike if `rows` is 1; whether there are any, with some
+// length where they are `lying`.
 template <typename Place>
-bool lay_lines(std::int64_t rows, double largest, const Place& place, Pixels& pixels) {
+bool lay_lines(std::int64_t rows, double largest, bool lying, const Place& place, Pixels& pixels) {
     const std::int64_t width = pixels.width;
     std::vector<double> first, step;
     double worst = 0;
@@ -179,6 +180,7 @@ bool lay_lines(std::int64_t rows, double largest, const Place& place, Pixels& pi
             wrong = std::max(wrong, length(place(line, k) - begin - share * span));
         }
         if (wrong > 1e-9 * length(span) + 1e-15 * largest) return false;
+        if (lying && width > 1 && !(length(span) > 0)) return false;
         worst = std::max(worst, wrong);
         const Point one = over(span, static_cast<double>(std::max<std::int64_t>(width - 1, 1)));
         first.insert(first.end(), {begin.x, begin.y, begin.z});
@@ -204,8 +206,8 @@ void find_lines(const double* points, const Point& origin, Pixels& pixels) {
     const auto at = [&](std::int64_t line, std::int64_t k) { return points + 3 * (line * pixels.width + k); };
     const auto whole = [&](std::int64_t line, std::int64_t k) { return point(at(line, k)); };
     const auto above = [&](std::int64_t line, std::int64_t k) { return Point{at(line, k)[0], at(line, k)[1], 0}; };
-    if (!lay_lines(pixels.height, largest, whole, pixels)) {
-        if (!lay_lines(pixels.height, largest, above, pixels)) return;
+    if (!lay_lines(pixels.height, largest, false, whole, pixels)) {
+        if (!lay_lines(pixels.height, largest, true, above, pixels)) return;
         pixels.heights = {points + 2, 3 * pixels.width, 3, origin.z};
     }
     about(origin, pixels);
@@ -220,8 +222,8 @@ void find_lines(const double* x, const double* y, const double* height, const Po
     const auto whole = [&](std::int64_t line, std::int64_t k) {
         return Point{x[k], y[line], height[line * pixels.width + k]};
     };
-    if (!lay_lines(pixels.height, largest, whole, pixels)) {
-        if (!lay_lines(1, largest, above, pixels)) return;
+    if (!lay_lines(pixels.height, largest, false, whole, pixels)) {
+        if (!lay_lines(1, largest, true, above, pixels)) return;
         pixels.heights = {height, pixels.width, 1, origin.z};
     }
     about(origin, pixels);

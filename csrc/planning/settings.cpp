@@ -186,11 +186,14 @@ bool fades(const Scene& scene, double budget, bool narrow) {
 
 // A way's length is a quadratic in height through the places in the middle and h above and below. It is wrong by
 // its third derivative's sixth, at most 2/(5 r^2) (see choose_delay), times 0.385 h^3; and a polynomial along each of
-// the three lines counts 1.25 times. The sine of a fan's angle is linear in height, its second derivative at most 2/r^2
-// of it; h and what a line rises make offsets that round as those along lines do.
+// the three lines counts 1.25 times. The sine of a fan's angle is linear in height: its second derivative is at most
+// 2/r^2 of it, and 1.15/r^2 of what the fan's axis stands upright. h and what a line rises make offsets that round as
+// those along lines do.
 Rise rise_of(const Scene& scene, double error, bool narrow) {
     const double wave = scene.survey.model.fc / scene.survey.model.c, eps = narrow ? 0x1p-24 : 0x1p-53;
-    const double steep = pi / 2 * scene.light.per * scene.light.sine_half;
+    double upright = 0;
+    for (const Trace& trace : scene.survey.traces) upright = std::max(upright, std::abs(trace.axis[2]));
+    const double steep = pi / 2 * scene.light.per * (scene.light.sine_half + 0.6 * upright);
     return {std::sqrt(2 * pi * wave * 2 * 1.3 * 0.154 / error), std::sqrt(steep / (error * scene.brightness())),
             error / (2 * pi * wave * eps)};
 }

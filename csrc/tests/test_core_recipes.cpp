@@ -11,6 +11,7 @@
 #include "core/errors.hpp"
 #include "core/polynomials.hpp"
 #include "core/recipe.hpp"
+#include "core/room.hpp"
 #include "core/summation.hpp"
 #include "core/transforms.hpp"
 #include "planning/crossings.hpp"
@@ -113,7 +114,7 @@ std::vector<Single> image_of(const Recipe& recipe, int threads, const Tick& tick
     }
     std::vector<std::uint8_t> used(pings, 1);
     used[3] = 0;
-    const bool straight = recipe.image.straight();
+    const bool straight = recipe.image.lined();
     const View<Single, 2> to{image.data(), {straight ? height : 1, straight ? width : height * width}, {width, 1}};
     const View<const Single, 3> from{data.data(), {pings, 1, samples}, {samples, samples, 1}};
     Workspace work;
@@ -160,6 +161,43 @@ void recipes_agree() {
     Recipe views = points;
     views.views = ViewWeights{1};
     CHECK(apart(image_of(views, 1), image_of(views, 3)) == 0);
+}
+
+// Heights off lines, by polynomials in them, by halves of blocks where they are too near for these, and where nothing
+// but every pixel's own delay is allowed.
+void heights_agree() {
+    std::vector<double> z;
+    for (std::int64_t i = 0; i < height * width; ++i) z.push_back(3 + 0.04 * std::sin(0.37 * double(i)));
+    Recipe hills = recipe();
+    hills.image.heights = {z.data(), width, 1, 3};
+    for (std::int64_t left = 0; left < width; left += hills.image.count)
+        hills.image.spans.insert(hills.image.spans.end(), {-0.04, 0.04});
+    hills.rise = {20, 20, 1};
+    Recipe points = hills;
+    points.image.first.clear();
+    points.image.heights = {};
+    points.image.points = [&](std::int64_t begin, std::int64_t end, double* out) {
+        for (std::int64_t i = begin; i < end; ++i) {
+            const auto row = 3 * static_cast<std::size_t>(i / width);
+            *out++ = hills.image.first[row] + double(i % width) * hills.image.step[row];
+            *out++ = hills.image.first[row + 1];
+            *out++ = z[static_cast<std::size_t>(i)] - 3;
+        }
+    };
+    const auto exact = image_of(points, 1);
+    for (const double near : {0.0, 12.0, 1e3}) {
+        for (const int count : {16, 64, 70 - 64}) {
+            Recipe one = hills;
+            one.model.near = near;
+            one.image.count = count;
+            one.image.spans.clear();
+            for (std::int64_t left = 0; left < width; left += count)
+                one.image.spans.insert(one.image.spans.end(), {-0.04, 0.04});
+            CHECK(apart(exact, image_of(one, 2)) < 1e-4);
+            one.rise.highest = 0.01;
+            CHECK(apart(exact, image_of(one, 1)) < 1e-5);
+        }
+    }
 }
 
 void runs_stop() {
@@ -263,5 +301,6 @@ void test_recipes() {
     only_what_is_compiled_runs<double>();
     transforms_are_sums();
     recipes_agree();
+    heights_agree();
     runs_stop();
 }
