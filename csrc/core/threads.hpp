@@ -24,6 +24,10 @@ class Poll {
     explicit Poll(const Tick& tick) : tick_(tick) {}
     // Throws Error(cancelled) where the tick stops.
     void operator()();
+    // The same for what `run` does.
+    Tick tick() const {
+        return tick_ ? Tick([this](double) { return tick_(0); }) : Tick();
+    }
 
   private:
     const Tick& tick_;

@@ -12,6 +12,7 @@ namespace {
 
 constexpr std::int64_t least_nodes = std::int64_t{1} << 22;  // that trees of any image may have
 constexpr std::int64_t judged_groups = 5, judged_tiles = 500;
+constexpr std::size_t at_once = 16;  // groups whose trees are made side by side, whatever the number of threads
 
 Geometry geometry_of(const Scene& scene) {
     const Survey& survey = scene.survey;
@@ -114,6 +115,7 @@ struct ForestMaker {
     std::vector<Group> groups;
     std::vector<Layer> layers;
     Poll& poll;
+    int threads;
 
     // Adds a section's layers; false where it cannot be read.
     bool look(const Tiled& tiled, double near, const OffPlanes& relief, bool whole) {
@@ -121,16 +123,21 @@ struct ForestMaker {
         if (tiles.empty()) return true;
         const auto planes = planes_of(scene, tiled, groups, relief);
         if (planes.heights.empty()) return false;
-        std::vector<Fates> fates;
-        for (const Group& group : groups) {
-            poll();
-            fates.push_back(fates_of(scene, group, tiled, tiles, planes, layout, first_step(scene, layout), near));
-            const auto& direct = fates.back().direct;
-            if (whole && std::find(direct.begin(), direct.end(), 1) != direct.end()) return false;
+        std::vector<Fates> fates(groups.size());
+        const auto each = [&](const auto& call) {
+            run(
+                static_cast<std::int64_t>(groups.size()), threads,
+                [&](std::int64_t g) { call(static_cast<std::size_t>(g)); }, poll.tick());
+        };
+        each([&](std::size_t g) {
+            fates[g] = fates_of(scene, groups[g], tiled, tiles, planes, layout, first_step(scene, layout), near);
+        });
+        for (const Fates& found : fates) {
+            if (whole && std::find(found.direct.begin(), found.direct.end(), 1) != found.direct.end()) return false;
         }
         for (std::size_t k = 0; k < planes.heights.size(); ++k) {
-            Layer layer{tiled, planes.heights, static_cast<int>(k), {}};
-            for (std::size_t g = 0; g < groups.size(); ++g) layer.seen.push_back(seen_of(layer, groups[g], fates[g]));
+            Layer layer{tiled, planes.heights, static_cast<int>(k), std::vector<Seen>(groups.size())};
+            each([&](std::size_t g) { layer.seen[g] = seen_of(layer, groups[g], fates[g]); });
             layers.push_back(std::move(layer));
         }
         return true;
@@ -172,21 +179,28 @@ struct ForestMaker {
                             tiled.pixels,
                             tiled.lines ? tiled.lines->column : 0,
                             {}};
-            for (std::size_t g = 0; g < groups.size(); ++g) {
-                poll();
-                const Seen& seen = layer.seen[g];
-                if (pixels_of(tiled.pixels, seen.fates.read) + pixels_of(tiled.pixels, seen.fates.direct) == 0)
-                    continue;
-                const Point& axis = groups[g].axis;
-                GroupTree tree{groups[g].traces, seen.fates.read, seen.fates.direct, {}, -1, {axis.x, axis.y, axis.z}};
-                if (!seen.readings.empty() && !make_tree(tree, groups[g], layer, seen, step, left, along)) return {};
-                if (!tree.levels.empty()) widen(tree, step, out);
-                if (!tree.levels.empty() && tiled.flat && tiled.lines && layout.crossing > 0)
-                    choose_reads(tree, groups[g], tiled, *tiled.lines, layout);
-                if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, seen.fates);
-                out.longest = std::max(out.longest, groups[g].extent);
-                ++out.count;
-                section.trees.push_back(std::move(tree));
+            for (std::size_t begin = 0; begin < groups.size(); begin += at_once) {
+                std::vector<Grown> grown(std::min(at_once, groups.size() - begin));
+                run(
+                    static_cast<std::int64_t>(grown.size()), threads,
+                    [&](std::int64_t k) {
+                        const std::size_t g = begin + static_cast<std::size_t>(k);
+                        grown[static_cast<std::size_t>(k)] = grow(groups[g], layer, layer.seen[g], step, left);
+                    },
+                    poll.tick());
+                for (std::size_t k = 0; k < grown.size(); ++k) {
+                    GroupTree& tree = grown[k].tree;
+                    const Fates& fates = layer.seen[begin + k].fates;
+                    left -= grown[k].nodes;
+                    along = std::max(along, grown[k].along);
+                    if (grown[k].too_large || left < 0) return {};
+                    if (pixels_of(tiled.pixels, fates.read) + pixels_of(tiled.pixels, fates.direct) == 0) continue;
+                    if (!tree.levels.empty()) widen(tree, step, out);
+                    if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, fates);
+                    out.longest = std::max(out.longest, groups[begin + k].extent);
+                    ++out.count;
+                    section.trees.push_back(std::move(tree));
+                }
             }
             if (!section.trees.empty()) out.forest.sections.push_back(std::move(section));
         }
@@ -194,21 +208,35 @@ struct ForestMaker {
         return out;
     }
 
-    // Makes the levels of a tree; false where it would have more nodes than are `left`.
-    bool make_tree(GroupTree& tree, const Group& group, const Layer& layer, const Seen& seen, double step,
-                   std::int64_t& left, double& along) const {
+    // A group's tree, its nodes, and the highest frequency along its rays; `too_large`: it would have more than are
+    // left.
+    struct Grown {
+        GroupTree tree;
+        std::int64_t nodes = 0;
+        double along = 0;
+        bool too_large = false;
+    };
+
+    Grown grow(const Group& group, const Layer& layer, const Seen& seen, double step, std::int64_t left) const {
+        const Tiled& tiled = layer.tiled;
+        const Point& axis = group.axis;
+        Grown out{{group.traces, seen.fates.read, seen.fates.direct, {}, -1, {axis.x, axis.y, axis.z}}};
+        if (seen.readings.empty()) return out;
         std::int64_t floats = 2 * left;
         Subtree below = make_subtree(group, geometry_of(scene), centres, layout, layer.plane(), seen.direction,
                                      seen.readings, step, floats);
-        if (below.levels.empty()) return false;
-        for (const Level& level : below.levels) left -= nodes_of(level);
-        along = std::max(along, below.along);
-        tree.traces = std::move(below.traces);
-        tree.levels = std::move(below.levels);
+        out.too_large = below.levels.empty();
+        for (const Level& level : below.levels) out.nodes += nodes_of(level);
+        out.along = below.along;
+        if (out.too_large) return out;
+        out.tree.traces = std::move(below.traces);
+        out.tree.levels = std::move(below.levels);
         // of levels from the top, the one below those that have weights
         const auto lit = static_cast<std::size_t>(lit_levels(layout.fans));
-        if (lit < tree.levels.size()) tree.lit = static_cast<int>(tree.levels.size() - 1 - lit);
-        return true;
+        if (lit < out.tree.levels.size()) out.tree.lit = static_cast<int>(out.tree.levels.size() - 1 - lit);
+        if (tiled.flat && tiled.lines && layout.crossing > 0)
+            choose_reads(out.tree, group, tiled, *tiled.lines, layout);
+        return out;
     }
 
     static std::int64_t nodes_of(const Level& level) {
@@ -291,9 +319,10 @@ Rate simple_rate(double least) {
 }
 
 std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
-                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll) {
+                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll,
+                                         int threads) {
     const Survey& survey = scene.survey;
-    ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll};
+    ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll, threads};
     for (Numbers& piece : cut(scene, maker.centres, layout.length))
         maker.groups.push_back(make_group(std::move(piece), maker.centres));
     for (const Tiled& tiled : image) {

@@ -57,7 +57,8 @@ Rate simple_rate(double least);
 // All trees of an image; nothing where no pixel can be read from one (`whole`: not all), or where trees have more nodes
 // than the sum has terms. `least`: nodes per sample at least; `poll`: asked once a group.
 std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout,
-                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll);
+                                         double near, const OffPlanes& relief, double least, bool whole, Poll& poll,
+                                         int threads);
 
 // Counted, but that leaves of a tree are taken to have as many traces each.
 Work work_of(const Forest& forest);

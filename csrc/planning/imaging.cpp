@@ -35,9 +35,11 @@ struct Exponents {
     }
 
     int spread() const { return most ? *most - *least : 0; }
-    // The power of two next to the largest term of all traces; 1 where there is none.
+    // The power of two next to the largest term of all traces; 1 where there is none, or where sums in float have room
+    // for them as they are: the image need not be looked at once more then.
     double scale() const {
-        if (!most) return 1;
+        constexpr int moderate = 20, close = 40;
+        if (!most || (std::abs(*most) <= moderate && spread() <= close)) return 1;
         if (*most > 1024)
             throw Error(Code::range, "weights: times samples they reach 2^" + std::to_string(*most - 2) +
                                          ": expected at most 2^1024, the end of float64");

@@ -180,18 +180,22 @@ class Planner {
                            })->all;
         if (all > most) return {{}, longer, "at least " + time(all)};
         // what groups of a length serve is known only once it is looked at
-        for (std::size_t i = 0; i < std::min(options.size(), flat ? looked_at : options.size()); ++i) {
-            const Layout layout = clear(options[i].layout, out);
-            for (int planes = 1; planes <= (flat ? 1 : most_planes); ++planes) {
-                const OffPlanes relief{planes, out.relief.error};
+        const std::size_t looked = std::min(options.size(), flat ? looked_at : options.size());
+        const int stacks = flat ? 1 : most_planes;
+        out.choices.resize(looked * static_cast<std::size_t>(stacks));
+        run(static_cast<std::int64_t>(out.choices.size()), wish_.threads,
+            [&](std::int64_t task) {
+                const Option& option = options[static_cast<std::size_t>(task / stacks)];
+                const Layout layout = clear(option.layout, out);
+                const OffPlanes relief{static_cast<int>(task % stacks) + 1, out.relief.error};
                 const Served served = pysas::served(s_, out.image, layout, out.near, relief);
-                const double seconds = options[i].all * served.share * served.planes + direct * (1 - served.share);
+                const double seconds = option.all * served.share * served.planes + direct * (1 - served.share);
                 const std::int64_t count = served.planes * served.groups;
                 const double alone = judged_threads * tree_seconds * static_cast<double>(count);
                 const double cost = by_time() ? seconds + alone : -served.share;
-                out.choices.push_back({layout, relief, cost, seconds, count});
-            }
-        }
+                out.choices[static_cast<std::size_t>(task)] = {layout, relief, cost, seconds, count};
+            },
+            {});
         std::stable_sort(out.choices.begin(), out.choices.end(),
                          [](const Choice& a, const Choice& b) { return a.cost < b.cost; });
         return {std::move(out), {}, {}};
@@ -277,7 +281,7 @@ class Planner {
         OffPlanes relief = best.relief;
         const auto made = [&](double least) {
             return make_forest(s_, candidate.image, clear(layout, candidate), candidate.near, relief, least, whole,
-                               poll);
+                               poll, wish_.threads);
         };
         // from more planes nearer pixels can be read
         const auto from_any = [&] {

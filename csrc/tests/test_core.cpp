@@ -401,7 +401,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         cut.length = 3;
         cut.crossing = fans.size() < 2 ? 0.045 : 0;
         cut.positions = 1e-4;
-        const auto planned = make_forest(scene, lined, cut, 1, {1, 0}, 0, false, poll);
+        const auto planned = make_forest(scene, lined, cut, 1, {1, 0}, 0, false, poll, 2);
         CHECK(planned && planned->share == 1 && planned->count > 1 && planned->forest.sections.size() == 1);
         if (!planned) continue;
         const Forest& forest = planned->forest;
