@@ -111,7 +111,7 @@ struct Model {
     double rate;  // intervals per sample
     double last;  // last sample number that counts
     Beam beam;
-    double near;  // distance below which every pixel's delay is exact, m
+    double near;  // distance below which delays are no polynomials along a whole block, m
     double run;   // traces that a sum in float may have before it is added to one in double; 0: any number
 };
 
@@ -138,6 +138,7 @@ struct Heights {
     std::int64_t row = 0, apart = 0;
     double origin = 0;
 
+    double operator()(std::int64_t r, std::int64_t m) const { return z[r * row + m * apart] - origin; }
     Heights from(std::int64_t r, std::int64_t m) const { return {z ? z + r * row + m * apart : z, row, apart, origin}; }
 };
 

@@ -33,7 +33,7 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
             x[axis][m] = tile.lines ? tile.lines[6 * r + axis] + pixel * tile.lines[6 * r + 3 + axis]
                                     : tile.points[3 * (r * tile.count + pixel) + axis];
         }
-        if (heights.z) x[2][m] = heights.z[r * heights.row + pixel * heights.apart] - heights.origin;
+        if (heights.z) x[2][m] = heights(r, pixel);
     }
     W::vec counted = W::set(0.0);
     const W::vec half = W::set(0.5), first = W::set(0.0), last = W::set(model.last);

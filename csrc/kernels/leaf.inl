@@ -242,13 +242,6 @@ struct Fading {
         }
     }
 
-    static bool alike(const Trace& a, const Trace& b) {
-        for (int k = 0; k < 3; ++k) {
-            if (a.tx[k] != b.tx[k] || a.boresight[k] != b.boresight[k] || a.axis[k] != b.axis[k]) return false;
-        }
-        return true;
-    }
-
     void operator()(const Trace& trace, const Light& light, int rows, Levels<V>& out) {
         if (last && alike(trace, *last)) return;
         last = &trace;

@@ -8,7 +8,7 @@ template <class V, int N>
 struct Shades {
     using real = typename V::real;
     Shade of[tile_rows];
-    alignas(64) real middle[tile_rows], coefficient[N - 1][tile_rows];  // of `per` times the sine, in x^1, ...
+    alignas(64) real sine[N][tile_rows];  // `per` times that, in x^0, x^1, ...
     alignas(64) real each[tile_rows][block];
     alignas(64) real faded[tile_rows][block];  // weights of fans that fade, where `count` vectors of a line have them
     Vectors count[tile_rows];
@@ -40,14 +40,7 @@ void sines(const Terms<typename V::real>& job, const Trace& trace, const Places<
         }
         if (relief) along<N>(job.nodes, grows, 1.0, &out.rise[0][r], tile_rows);
         for (int i = r; i < r + D::n; ++i) out.count[i] = {0, 0};
-        D::store(out.middle + r, sine[N / 2]);
-        for (int q = 1; q < N; ++q) {
-            vec sum = D::set(0.0);
-            for (int j = 0; j < N; ++j) {
-                if (j != N / 2) sum = D::fma(D::set(job.nodes.fit[q][j]), D::sub(sine[j], sine[N / 2]), sum);
-            }
-            D::store(out.coefficient[q - 1] + r, sum);
-        }
+        along<N>(job.nodes, sine, 1.0, &out.sine[0][r], tile_rows);
     }
 }
 
@@ -68,11 +61,11 @@ class Fade {
         if (known.begin == vectors.begin && known.end == vectors.end) return shades.dark[r];
         known = vectors;
         real* const weight = shades.faded[r];
-        const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.middle[r]);
+        const vec zero = V::set(0), one = V::set(1), middle = V::set(shades.sine[0][r]);
         const int last = vectors.end - 1;
         int dark = 0;
         vec c[N - 1];
-        for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.coefficient[q][r]);
+        for (int q = 0; q < N - 1; ++q) c[q] = V::set(shades.sine[q + 1][r]);
         for (int s = vectors.begin; s <= last; ++s) {
             const vec at = V::load(x + s * V::n);
             vec sine = c[N - 2];
@@ -138,16 +131,16 @@ struct Between {
     Between(const Light& light, const Shades<V, N>& shades, const Places<V, N>& at, int r, double nearness, bool relief)
         : edge(light.per * light.sine_half), full(light.per * light.sine_full) {
         double bend = 0;
-        for (int q = 1; q < N; ++q) bend += q * (q - 1.0) * ::fabs(static_cast<double>(shades.coefficient[q - 1][r]));
+        for (int q = 1; q < N; ++q) bend += q * (q - 1.0) * ::fabs(static_cast<double>(shades.sine[q][r]));
         const double width = at.edge[1] - at.edge[0];
         // what the polynomial is wrong by on a line half as long as `nearness` of its distance: see settings.cpp
         const double wrong = light.per * 0.125 * nearness * nearness * nearness * nearness * nearness;
         slack = bend * width * width / 8 + wrong + 1e-5 * edge;
         for (int q = 0; q < N && relief; ++q) slack += 1.01 * ::fabs(static_cast<double>(shades.rise[q][r]));
         for (int s = 0; s <= at.used; ++s) {
-            double sum = shades.coefficient[N - 2][r];
-            for (int q = N - 3; q >= 0; --q) sum = sum * at.edge[s] + shades.coefficient[q][r];
-            value[s] = sum * at.edge[s] + shades.middle[r];
+            double sum = shades.sine[N - 1][r];
+            for (int q = N - 3; q >= 0; --q) sum = sum * at.edge[s] + shades.sine[q + 1][r];
+            value[s] = sum * at.edge[s] + shades.sine[0][r];
         }
     }
     Reach operator[](int s) const {

@@ -122,7 +122,7 @@ std::vector<double> spans_of(const Image& image) {
             double low = HUGE_VAL, high = -HUGE_VAL;
             for (std::int64_t r = top; r < std::min<std::int64_t>(top + tile_rows, image.height); ++r) {
                 for (std::int64_t m = left; m < std::min<std::int64_t>(left + image.count, image.width); ++m) {
-                    const double z = *image.heights.from(r, m).z - image.heights.origin;
+                    const double z = image.heights(r, m);
                     low = std::min(low, z);
                     high = std::max(high, z);
                 }

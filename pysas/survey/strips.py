@@ -92,8 +92,12 @@ class Strip:
             raise ValueError(f"slack={slack!r}: expected at least 0 m")
         self.options: dict[str, Any] = {"tol": tol, "method": method, "threads": threads, "backend": backend, "nan": nan}
 
-    def x(self, first: int, count: int) -> FloatArray:
-        """Coordinates of `count` columns from number `first` on, m."""
+    def grid(self, first: int, count: int) -> Grid:
+        """Pixels of `count` columns from number `first` on."""
+        x = self._x(first, count)
+        return Grid.surface(x, self.y, self.z(x, self.y)) if callable(self.z) else Grid.plane(x, self.y, self.z)
+
+    def _x(self, first: int, count: int) -> FloatArray:
         return np.asarray(self.origin + self.step * np.arange(first, first + count), dtype=np.float64)
 
     def stream(self, pings: Iterable[Echoes]) -> Iterator[Image]:
@@ -183,17 +187,16 @@ class _Stream:
     def _grid(self, low: int, high: int) -> Grid:
         """Pixels of columns low to high - 1; heights are asked for once for each image that these cross."""
         strip = self.strip
-        x, columns = strip.x(low, high - low), strip.columns
         if not callable(strip.z):
-            return Grid.plane(x, strip.y, strip.z)
-        parts = []
+            return strip.grid(low, high - low)
+        parts, columns = [], strip.columns
         for number in range(low // columns, (high - 1) // columns + 1):
             begin = number * columns
             if number not in self.ground:
-                found = strip.z(strip.x(begin, columns), strip.y)
+                found = strip.z(strip._x(begin, columns), strip.y)
                 self.ground[number] = _checks.reals("z", found, [(strip.y.size, columns)], ("row", "column"))
             parts.append(self.ground[number][:, max(low - begin, 0) : high - begin])
-        return Grid.surface(x, strip.y, np.concatenate(parts, axis=1))
+        return Grid.surface(strip._x(low, high - low), strip.y, np.concatenate(parts, axis=1))
 
     def _room(self, grid: Grid, echoes: Echoes) -> ComplexArray:
         """Where a block's image goes: the same memory from block to block, whose first touch takes as long as some sums."""
