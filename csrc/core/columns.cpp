@@ -82,6 +82,49 @@ void sum_lines(const Kernels& kernels, ColumnJob job, const Raster& raster, cons
     }
 }
 
+// Heights of a part's pixels, line by line, `padded` apart.
+struct Ground {
+    const double* at;
+    std::int64_t padded;
+};
+
+// The same for pixels of a map, the first of which is number `first` of those whose heights these are: in pieces that
+// have a slope each.
+void sum_relief(const Kernels& kernels, ColumnJob job, const Raster& raster, const Cut& cut, std::int64_t begin,
+                std::int64_t end, std::int64_t left, std::int64_t right, const Sums& sums, std::int64_t first,
+                const Ground& ground) {
+    for (int axis = 0; axis < 2; ++axis) {
+        job.step[axis] =
+            (pixel(raster, cut.columns, cut.whole_along - 1, left, axis) - pixel(raster, cut.columns, 0, left, axis)) /
+            static_cast<double>(cut.whole_along - 1);
+    }
+    const std::int64_t longest = read_at_once(cut.tile_along) * cut.tile_along;
+    for (std::int64_t k = left; k < right; ++k) {
+        for (std::int64_t from = begin; from < end; from += job.count) {
+            job.count = std::min(longest - from % longest, end - from);
+            for (int axis = 0; axis < 2; ++axis) job.first[axis] = pixel(raster, cut.columns, from, k, axis);
+            job.heights = ground.at + (k - left) * ground.padded + from - first;
+            kernels.column(job);
+            float *re = sums.line(k - left) + from - first, *im = re + sums.padded;
+            for (std::int64_t m = 0; m < job.count; ++m) {
+                re[m] += job.re[m];
+                im[m] += job.im[m];
+            }
+        }
+    }
+}
+
+// Heights of pixels [begin, end) of lines [left, right).
+void heights_of(const Raster& raster, bool columns, std::int64_t begin, std::int64_t end, std::int64_t left,
+                std::int64_t right, std::int64_t padded, double* to) {
+    for (std::int64_t i = begin; i < end; i += square) {
+        for (std::int64_t k = left; k < right; ++k) {
+            for (std::int64_t m = i; m < std::min(i + square, end); ++m)
+                to[(k - left) * padded + m - begin] = columns ? raster.heights(m, k) : raster.heights(k, m);
+        }
+    }
+}
+
 // Adds sums of pixels [begin, end) of lines [left, right), which lie at `at` on, to the image.
 template <typename Pixel>
 void add(const Sums& sums, std::int64_t at, const Raster& raster, bool columns, std::int64_t begin, std::int64_t end,
@@ -113,7 +156,7 @@ void add(const Sums& sums, std::int64_t at, const Raster& raster, bool columns, 
 
 template <typename Pixel>
 void read_along(const Kernels& kernels, const Tree& tree, const std::vector<Source>& sources, const Raster& raster,
-                Reads how, int stretch, const View<Pixel, 2>& image, int threads, const Tick& tick) {
+                Reads how, int stretch, double turn, const View<Pixel, 2>& image, int threads, const Tick& tick) {
     const Cut cut(raster, how);
     const std::int64_t most = std::max<std::int64_t>(longest / cut.tile_along, 1);
     std::vector<Part> parts;
@@ -147,14 +190,24 @@ void read_along(const Kernels& kernels, const Tree& tree, const std::vector<Sour
                                right = std::min(left + cut.tile_across, cut.whole_across);
             const std::int64_t first = part.begin * cut.tile_along,
                                last = std::min(part.end * cut.tile_along, cut.whole_along);
-            auto work = scratch.take(static_cast<std::size_t>(4 * room + 2 * (right - left + 1) * padded + aligned));
+            const bool relief = raster.heights.z != nullptr;
+            const std::int64_t summed = 2 * (right - left) * padded;
+            auto work = scratch.take(static_cast<std::size_t>(4 * room + 2 * padded + summed) + aligned);
             float* const begin = align(work.data());
             const Sums sums{begin + 4 * room + 2 * padded, padded};
-            std::fill_n(sums.at, 2 * (right - left) * padded, 0.0F);
+            std::fill_n(sums.at, summed, 0.0F);
             ColumnJob job{&tree, nullptr, {}, {}, 0, stretch, room, begin, begin + 4 * room, begin + 4 * room + padded};
+            std::vector<double> heights;
+            if (relief) {
+                heights.resize(static_cast<std::size_t>((right - left) * padded));
+                heights_of(raster, cut.columns, first, last, left, right, padded, heights.data());
+                job.turn = turn;
+            }
+            const Ground ground{heights.data(), padded};
             std::int64_t low = last, high = first;
             for (const Source& source : sources) {
                 job.image = &source.image;
+                job.stack = &source.stack;
                 for (std::int64_t i = part.begin; i < part.end;) {
                     if (source.reads[cut.number(i, part.across)] != how) {
                         ++i;
@@ -163,7 +216,10 @@ void read_along(const Kernels& kernels, const Tree& tree, const std::vector<Sour
                     std::int64_t stop = i + 1;
                     while (stop < part.end && source.reads[cut.number(stop, part.across)] == how) ++stop;
                     const std::int64_t from = i * cut.tile_along, to = std::min(stop * cut.tile_along, last);
-                    sum_lines(kernels, job, raster, cut, from, to, left, right, sums, from - first);
+                    if (relief)
+                        sum_relief(kernels, job, raster, cut, from, to, left, right, sums, first, ground);
+                    else
+                        sum_lines(kernels, job, raster, cut, from, to, left, right, sums, from - first);
                     low = std::min(low, from);
                     high = std::max(high, to);
                     i = stop;
@@ -178,9 +234,9 @@ void read_along(const Kernels& kernels, const Tree& tree, const std::vector<Sour
 using Single = std::complex<float>;
 using Double = std::complex<double>;
 
-template void read_along(const Kernels&, const Tree&, const std::vector<Source>&, const Raster&, Reads, int,
+template void read_along(const Kernels&, const Tree&, const std::vector<Source>&, const Raster&, Reads, int, double,
                          const View<Single, 2>&, int, const Tick&);
-template void read_along(const Kernels&, const Tree&, const std::vector<Source>&, const Raster&, Reads, int,
+template void read_along(const Kernels&, const Tree&, const std::vector<Source>&, const Raster&, Reads, int, double,
                          const View<Double, 2>&, int, const Tick&);
 
 }  // namespace pysas

@@ -13,16 +13,21 @@
 
 namespace pysas {
 
-// A sub-image, not filtered along its rays, and how tiles are read from it.
+// Tiles of so many pixels along lines that are read at a time where pixels have heights, from multiples of that on.
+inline std::int64_t read_at_once(std::int64_t tile_along) { return tile_along < block ? block / tile_along : 1; }
+
+// A sub-image, not filtered along its rays, and how tiles are read from it; of maps, through which stack.
 struct Source {
     SubImage image;
     const std::uint8_t* reads;
+    Stack stack;
 };
 
 // Add sub-images to the tiles of an image, of lines as far apart as each other and steps alike, that they are read for
-// as `how`: by_columns or by_lines. Polynomials of positions hold for `stretch` pixels.
+// as `how`: by_columns or by_lines. Polynomials of positions hold for `stretch` pixels; heights of a map may turn what
+// a group sees by `turn` rays.
 template <typename Pixel>
 void read_along(const Kernels& kernels, const Tree& tree, const std::vector<Source>& sources, const Raster& raster,
-                Reads how, int stretch, const View<Pixel, 2>& image, int threads, const Tick& tick);
+                Reads how, int stretch, double turn, const View<Pixel, 2>& image, int threads, const Tick& tick);
 
 }  // namespace pysas

@@ -278,10 +278,13 @@ struct MergeJob {
 
 // How pixels off a sub-image's plane are read from it: at their range and place along the group's `axis`, which a group
 // on that axis sees alike; weighed as value `number` of the polynomial through values at `count` heights.
+// What a group of one ping sees is turned by `own`, its middle trace: by what its delay on the plane is off.
 constexpr int max_planes = 8;
 struct Stack {
     double axis[3], height[max_planes];
     int count, number;
+    const Trace* own;  // or null
+    double c;
 };
 
 // Pixels read from a sub-image and added to (rows, block) sums: lines on its plane, or points near it, `apart` points
@@ -300,7 +303,8 @@ struct ReadJob {
 
 // Pixels first + m step, m < count, of a line on a sub-image's plane that leads away from its centre within 16 degrees,
 // their carrier given back. Positions are polynomials along `stretch` pixels. `work`: 4 rows of `room`, which holds
-// what lies between the line's ends and 4 blocks more; vectors of `re` and `im` run on.
+// what lies between the line's ends and 4 blocks more; vectors of `re` and `im` run on. Of a map's pixels, up to a
+// block of them, `heights` are read through a stack; those off the line's slope may turn what it sees by `turn` rays.
 struct ColumnJob {
     const Tree* tree;
     const SubImage* image;
@@ -309,6 +313,9 @@ struct ColumnJob {
     int stretch;
     std::int64_t room;
     float *work, *re, *im;
+    const double* heights = nullptr;
+    const Stack* stack = nullptr;
+    double turn = 0;
 };
 
 // A stage of a Fourier transform of sequences side by side, see core/transforms.cpp. Value m of a sequence lies at

@@ -197,9 +197,13 @@ class Walk {
         const Tick poll = run_.progress.poll();
         std::vector<Source> sources;
         for (Waiting& one : waiting_)
-            sources.push_back({images_of(one.tree->levels.back(), 0, 1, 0, one.store)[0], one.tree->read.data()});
-        read_along(run_.kernels, tree_, sources, raster, by_columns, section.stretch, to, run_.threads, poll);
-        read_along(run_.kernels, tree_, sources, raster, by_lines, image_.count, to, run_.threads, poll);
+            sources.push_back({images_of(one.tree->levels.back(), 0, 1, 0, one.store)[0], one.tree->read.data(),
+                               stack_of(section, *one.tree)});
+        const auto along = [&](Reads how, int stretch) {
+            read_along(run_.kernels, tree_, sources, raster, how, stretch, section.turn, to, run_.threads, poll);
+        };
+        along(by_columns, section.stretch);
+        along(by_lines, image_.count);
         for (std::size_t i = 0; i < waiting_.size(); ++i) {
             const GroupTree& tree = *waiting_[i].tree;
             if (std::find(tree.read.begin(), tree.read.end(), by_pixels) != tree.read.end()) {
@@ -214,20 +218,16 @@ class Walk {
     void read_top(const Section& section, const GroupTree& tree, const SubImage& from) {
         const std::uint8_t* mask = mask_of(section);
         const Tick poll = run_.progress.poll();
+        Mask single(tree.read.size());
+        for (std::size_t i = 0; i < single.size(); ++i) single[i] = tree.read[i] == by_pixels;
         if (section.flat && image_.straight()) {
-            Mask single(tree.read.size());
-            for (std::size_t i = 0; i < single.size(); ++i) single[i] = tree.read[i] == by_pixels;
             read(run_.kernels, tree_, from, lines_of(section, mask), nullptr, single.data(),
                  lines(section.begin, section.end), run_.threads, poll);
             return;
         }
-        Stack stack{};
-        std::copy_n(tree.axis, 3, stack.axis);
-        std::copy(section.heights.begin(), section.heights.end(), stack.height);
-        stack.count = static_cast<int>(section.heights.size());
-        stack.number = section.number;
+        const Stack stack = stack_of(section, tree);
         const std::int64_t across = (image_.width + image_.count - 1) / image_.count;
-        for (const Band& band : bands_of(section, pixels_of(tree.read, section))) {
+        for (const Band& band : bands_of(section, pixels_of(single, section))) {
             const auto points = points_of(section, band);
             const Raster raster{nullptr,
                                 nullptr,
@@ -236,9 +236,20 @@ class Walk {
                                 band.bottom - band.top,
                                 image_.width,
                                 image_.count};
-            read(run_.kernels, tree_, from, raster, &stack, tree.read.data() + band.top / tile_rows * across,
+            read(run_.kernels, tree_, from, raster, &stack, single.data() + band.top / tile_rows * across,
                  lines(section.begin + band.top, section.begin + band.bottom), run_.threads, poll);
         }
+    }
+
+    Stack stack_of(const Section& section, const GroupTree& tree) const {
+        Stack stack{};
+        std::copy_n(tree.axis, 3, stack.axis);
+        std::copy(section.heights.begin(), section.heights.end(), stack.height);
+        stack.count = static_cast<int>(section.heights.size());
+        stack.number = section.number;
+        stack.own = tree.own < 0 ? nullptr : &run_.recipe.traces[static_cast<std::size_t>(tree.own)];
+        stack.c = run_.recipe.model.c;
+        return stack;
     }
 
     // Room for what a tree has of a level at a time.

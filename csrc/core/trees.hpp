@@ -40,6 +40,8 @@ struct GroupTree {
     int lit;                                 // level whose images, each of one ping, a taper weighs as they are merged
                                              // (-1: in leaves)
     double axis[3];                          // of the group
+    std::int64_t own = -1;                   // of a group of one ping its middle trace, whose delays pixels read off
+                                             // the plane have
 };
 
 // Lines [begin, end) of an image and the trees of a horizontal plane that they are read from. Lines that lie on no
@@ -52,6 +54,7 @@ struct Section {
     int number;
     Numbers pixels;   // wanted, of each tile
     int stretch = 0;  // pixels of a column that one polynomial holds for
+    double turn = 0;  // rays by which heights may turn what a line of pixels sees
     std::vector<GroupTree> trees;
 };
 

@@ -108,6 +108,7 @@ struct Double {
 #include "kernels/leaf.inl"
 #include "kernels/lines.inl"
 #include "kernels/reading.inl"
+#include "kernels/relief_lines.inl"
 #include "kernels/transform.inl"
 
 }  // namespace

@@ -128,6 +128,7 @@ using Four = Double;
 #include "kernels/leaf.inl"
 #include "kernels/lines.inl"
 #include "kernels/reading.inl"
+#include "kernels/relief_lines.inl"
 #include "kernels/transform.inl"
 
 }  // namespace

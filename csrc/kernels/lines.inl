@@ -110,11 +110,3 @@ void read_column(const ColumnJob& job) {
         }
     }
 }
-
-template <class V>
-void column(const ColumnJob& job) {
-    if (job.tree->taps->count == 6)
-        read_column<V, 6>(job);
-    else
-        read_column<V, 8>(job);
-}

@@ -119,6 +119,15 @@ void read_taps_lines(ReadJob& job) {
     }
 }
 
+// Turns by which the delay of a stack's own trace at points is more than at the places where a plane has them.
+inline Double::vec turned_off(const Stack& stack, const Tree& tree, Double::vec x, Double::vec y, Double::vec z,
+                              Double::vec plane_x, Double::vec plane_y, Double::vec plane_z) {
+    using D = Double;
+    const auto later = D::sub(delay<Kind::moving>(*stack.own, stack.c, x, y, z),
+                              delay<Kind::moving>(*stack.own, stack.c, plane_x, plane_y, plane_z));
+    return D::mul(later, D::set(tree.wave * stack.c / 2));
+}
+
 // The same of points near the sub-image's plane.
 template <class V, int W>
 void read_taps_points(ReadJob& job) {
@@ -187,13 +196,23 @@ void read_taps_points(ReadJob& job) {
             const auto away = D::sqrt(D::fma(x, x, D::mul(y, y)));
             const auto bearing = D::mul(D::set(2.0), arctangent(D::div(y, D::add(x, away))));
             const auto beam = D::mul(D::add(bearing, D::set(angle)), D::set(1 / image.dangle));
+            if (stack.own) {
+                const auto there = [&](double at, double a, double b) {
+                    return D::fma(along, D::set(a), D::fma(off, D::set(b), D::set(at)));
+                };
+                const auto more =
+                    turned_off(stack, tree, D::add(dx, D::set(image.centre[0])), D::add(dy, D::set(image.centre[1])),
+                               D::add(dz, D::set(image.centre[2])), there(image.centre[0], ax, -ay),
+                               there(image.centre[1], ay, ax), D::set(image.plane));
+                range = D::fma(more, D::set(1 / tree.wave), range);
+            }
+            const auto turns = D::mul(range, D::set(tree.wave));
             const auto node = D::fma(range, D::set(1 / image.step), D::set(-static_cast<double>(image.i0)));
             const auto j = D::floor(beam), i = D::floor(node);
             D::store(at.beams + m, j);
             D::store(beam_x + m, D::sub(D::sub(beam, j), half));
             D::store(at.nodes + m, i);
             D::store(at.node_x + m, D::sub(D::sub(node, i), half));
-            const auto turns = D::mul(range, D::set(tree.wave));
             D::store(cycles + m, D::sub(turns, D::floor(D::add(turns, half))));
             auto weight = D::set(1.0);
             for (int k = 0; k < stack.count; ++k) {

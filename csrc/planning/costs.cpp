@@ -71,11 +71,11 @@ double term_ns(const Scene& scene, const Costs& costs, bool narrow, int block, d
     const auto nearer = [&](double count) {
         return std::min(1.0, scene.within((near + block * scene.step / 2) * count / block) / part);
     };
-    // three polynomials each where pixels have heights
-    double count = block, lines = scene.pixels.heights.z ? 3 : 1;
+    // polynomials in height too where pixels have any
+    double count = block, lines = scene.pixels.heights.z ? 2 : 1;
     for (double more = lines; count > lanes; count /= 2) lines += 2 * more * nearer(count) * block / count;
     const double share = nearer(count);
-    return share * own + (1 - share) * (wide * padded * ((scene.pixels.heights.z ? 1.5 : 1) * costs.term + each) +
+    return share * own + (1 - share) * (wide * padded * ((scene.pixels.heights.z ? 1.2 : 1) * costs.term + each) +
                                         costs.line * lines / block);
 }
 

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "core/trees.hpp"
+#include "planning/layouts.hpp"
 #include "planning/scene.hpp"
 #include "planning/subapertures.hpp"
 #include "planning/tiles.hpp"
@@ -22,7 +23,13 @@ std::optional<Parallel> parallel_of(const Scene& scene, std::int64_t begin, std:
 double turning(const Point& away, const Point& along, double height);
 
 // How tiles that a group's tree reads are read: along lines where these cross at most `layout.crossing` rays from node
-// to node, and polynomials of the rays that they cross are wrong by at most `layout.positions` rad of phase.
-void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, const Parallel& lines, const Layout& layout);
+// to node, and polynomials of the rays that they cross are wrong by at most `layout.positions` rad of phase; of a map
+// where heights turn what the group sees by at most `turned` rad of phase. `own`: rad a metre that a ping's own trace
+// is off by as heights change by as much as it is away.
+void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, double plane, const Parallel& lines,
+                  const Layout& layout, double turned, double own);
+
+// Rays that heights of a map may turn what one line of pixels sees, of `turned` rad of phase.
+double turn_of(const Layout& layout, double turned);
 
 }  // namespace pysas

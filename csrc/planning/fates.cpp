@@ -137,42 +137,10 @@ class Beams {
     std::vector<const Trace*> traces_;
 };
 
-// What a group's transmitters and receivers together lie beside its axis: for pixels `closest` m beside it at most
-// straight + bent / closest.
-struct OffAxis {
-    double straight = 0, bent = 0;
-
-    OffAxis(const Scene& scene, const Group& group) {
-        for (const std::int64_t i : group.traces) {
-            const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
-            const Point tx = point(trace.tx), rx = point(trace.rx);
-            const auto across = [&](const Point& p) {
-                const Point away = p - group.centre;
-                return away - dot(away, group.axis) * group.axis;
-            };
-            const Point out = across(tx), back = across(rx);
-            straight = std::max(straight, length(out + back));
-            bent =
-                std::max(bent, dot(out, out) + dot(back, back) + std::min(length(out), length(back)) * length(tx - rx));
-        }
-    }
-};
-
-}  // namespace
-
-Onto::Onto(const Group& group, double plane)
-    : centre_(group.centre), axis_(group.axis), plane_(plane), across_(std::hypot(group.axis.x, group.axis.y)) {}
-
-std::optional<Onto::Found> Onto::operator()(const Point& p) const {
-    if (across_ < flattest) return {};
-    const Point away = p - centre_;
-    const double x = axis_.x / across_, y = axis_.y / across_, height = centre_.z - plane_;
-    const double along = (dot(away, axis_) + height * axis_.z) / across_;
-    const double square = dot(away, away) - height * height - along * along;
-    if (!(square > 0)) return {};
-    const double side = away.y * x - away.x * y, off = std::copysign(std::sqrt(square), side);
-    return Found{{centre_.x + along * x - off * y, centre_.y + along * y + off * x, plane_},
-                 std::min(std::abs(off), std::abs(side))};
+// Radians a metre.
+double highest_of(const Scene& scene) {
+    const Model& model = scene.survey.model;
+    return 2 * pi * (model.fc + scene.survey.band * model.fs) / model.c;
 }
 
 // Sine of the angle between a group's axis and those of its fans, at most: what a fan's weights turn with the angle
@@ -189,6 +157,90 @@ double askew(const Scene& scene, const Group& group) {
     return most;
 }
 
+// What a group's transmitters and receivers together lie beside its axis: for pixels `closest` m beside it at most
+// straight + bent / closest + twisted / closest^2.
+struct OffAxis {
+    double straight = 0, bent = 0, twisted = 0;
+
+    OffAxis(const Scene& scene, const Group& group, bool alone) {
+        const auto across = [&](const Point& p) { return p - dot(p, group.axis) * group.axis; };
+        if (alone) {
+            beside_own(scene, group, across);
+            return;
+        }
+        for (const std::int64_t i : group.traces) {
+            const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
+            const Point tx = point(trace.tx), rx = point(trace.rx);
+            const Point out = across(tx - group.centre), back = across(rx - group.centre);
+            straight = std::max(straight, length(out + back));
+            bent =
+                std::max(bent, dot(out, out) + dot(back, back) + std::min(length(out), length(back)) * length(tx - rx));
+        }
+    }
+
+    // Beside the middle trace's: receivers off the line through its own along the axis, until echoes arrive, s (a +
+    // s/2r) apart for a receiver s away, a the sine of the angle to the line's normal. Of that way heights turn by q/r
+    // what a line sees that lies q beside the axis.
+    template <class Across>
+    void beside_own(const Scene& scene, const Group& group, const Across& across) {
+        const auto& traces = scene.survey.traces;
+        const Trace& own = traces[static_cast<std::size_t>(own_of(scene, group))];
+        const double c = scene.survey.model.c, latest = 2 * scene.farthest / c;
+        const Point speed = across(point(own.velocity));
+        const double sine = scene.light.shape == fan ? std::min(1.0, scene.light.sine_half + askew(scene, group)) : 1.0;
+        double away = 0;
+        for (const std::int64_t i : group.traces) {
+            const Trace& trace = traces[static_cast<std::size_t>(i)];
+            const Point off = point(trace.rx) - point(own.rx);
+            straight = std::max(straight, length(across(off)) + length(speed) * length(off) * sine / c +
+                                              latest * length(point(trace.velocity) - point(own.velocity)));
+            away = std::max(away, length(off));
+        }
+        const double q = length(across(point(own.rx) - group.centre)) + latest * length(speed);
+        bent = straight * (straight + 2 * q + away) + q * away * sine + length(speed) * away * away / c;
+        twisted = q * away * away / 2;
+    }
+};
+
+}  // namespace
+
+std::int64_t own_of(const Scene& scene, const Group& group) {
+    const auto& traces = scene.survey.traces;
+    const std::int64_t channels = scene.survey.channels, first = group.traces.front();
+    std::size_t middle = 0;
+    for (std::size_t k = 0; k < group.traces.size(); ++k) {
+        const std::int64_t i = group.traces[k];
+        const double *a = traces[static_cast<std::size_t>(first)].tx, *b = traces[static_cast<std::size_t>(i)].tx;
+        if (i / channels != first / channels || !std::equal(a, a + 3, b)) return -1;
+        if (std::abs(group.along[k]) < std::abs(group.along[middle])) middle = k;
+    }
+    return group.traces[middle];
+}
+
+double own_turn(const Scene& scene, const Group& group) {
+    const Model& model = scene.survey.model;
+    const Trace& own = scene.survey.traces[static_cast<std::size_t>(own_of(scene, group))];
+    const auto across = [&](const Point& p) { return length(p - dot(p, group.axis) * group.axis); };
+    const double away = across(point(own.tx) - group.centre) + across(point(own.rx) - group.centre) +
+                        2 * scene.farthest / model.c * across(point(own.velocity));
+    return highest_of(scene) * away;
+}
+
+Onto::Onto(const Group& group, double plane)
+    : centre_(group.centre), axis_(group.axis), plane_(plane), across_(std::hypot(group.axis.x, group.axis.y)) {}
+
+std::optional<Onto::Found> Onto::operator()(const Point& p) const {
+    if (across_ < flattest) return {};
+    const Point away = p - centre_;
+    const double x = axis_.x / across_, y = axis_.y / across_, height = centre_.z - plane_;
+    const double along = (dot(away, axis_) + height * axis_.z) / across_;
+    const double square = dot(away, away) - height * height - along * along;
+    if (!(square > 0)) return {};
+    const double side = away.y * x - away.x * y, off = std::copysign(std::sqrt(square), side);
+    return Found{{centre_.x + along * x - off * y, centre_.y + along * y + off * x, plane_},
+                 std::min(std::abs(off), std::abs(side))};
+}
+
 // What the weights of a taper over `width` are wrong by where the angle off the beam is by up to `angle` what `count`
 // planes tell: their slope times that, or, where planes tell the slope, their second derivative's jump.
 double weights_wrong(double width, double angle, int count) {
@@ -202,7 +254,7 @@ double weights_wrong(double width, double angle, int count) {
 // cos^2/(2 r) for each sensor q beside the axis, and as q/r of a transmitter and a receiver that are not equally far.
 Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error, int count) {
     const Survey& survey = scene.survey;
-    const double highest = 2 * pi * (survey.model.fc + survey.band * survey.model.fs) / survey.model.c;
+    const double highest = highest_of(scene);
     const auto each = static_cast<std::size_t>(tiled.each);
     double low = HUGE_VAL, high = -HUGE_VAL;
     for (std::size_t i = 0; i < tiled.corners.size(); ++i) {
@@ -210,16 +262,19 @@ Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group
         low = std::min(low, tiled.corners[i].z);
         high = std::max(high, tiled.corners[i].z);
     }
-    double straight = 0, bent = 0, skew = 0;
+    double straight = 0, bent = 0, twisted = 0, skew = 0;
+    const bool alone =
+        std::all_of(groups.begin(), groups.end(), [&](const Group& group) { return own_of(scene, group) >= 0; });
     for (const Group& group : groups) {
-        const OffAxis off(scene, group);
+        const OffAxis off(scene, group, alone);
         straight = std::max(straight, off.straight);
         bent = std::max(bent, off.bent);
+        twisted = std::max(twisted, off.twisted);
         skew = std::max(skew, askew(scene, group));
     }
     const double half = (high - low) / 2, width = survey.model.beam.half_angle - survey.model.beam.full_angle;
     const auto wrong = [&](double closest) {
-        const double most = highest * (straight + bent / closest) * half / closest;
+        const double most = highest * (straight + (bent + twisted / closest) / closest) * half / closest;
         double lacking = 2;
         for (int k = 1; k <= count; ++k) lacking *= most / k / 2;
         return lacking + weights_wrong(width, skew * half / closest, count);
@@ -230,7 +285,7 @@ Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group
         const double middle = (near + far) / 2;
         (wrong(middle) <= error ? far : near) = middle;
     }
-    Stacked out{{}, far};
+    Stacked out{{}, far, alone};
     for (int k = count - 1; k >= 0; --k)
         out.heights.push_back((low + high) / 2 + half * std::cos(pi * (2 * k + 1) / (2 * count)));
     return out;

@@ -34,13 +34,19 @@ class Onto {
 };
 
 // Heights of the planes that pixels are read from by polynomials of height, and how far beside a group's axis they lie
-// at least.
+// at least; `alone`: groups are pings, whose middle traces' delays pixels have.
 struct Stacked {
     std::vector<double> heights;
     double closest = 0;
+    bool alone = false;
 };
 // Of `count` planes; none where no distance is enough. `error`: what reading pixels off their planes may cost.
 Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error, int count);
+
+// The middle trace of a group of one ping, or -1; and by how much its phase is off that of the group's centre where the
+// direction to a pixel turns about the group's axis, rad a rad.
+std::int64_t own_of(const Scene& scene, const Group& group);
+double own_turn(const Scene& scene, const Group& group);
 
 // Of `tiles`, all of them with pixels wanted, read from `planes` by nodes `step` apart, from slant range `near` on.
 Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const Numbers& tiles, const Stacked& planes,

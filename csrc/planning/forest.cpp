@@ -12,6 +12,8 @@ namespace {
 
 constexpr std::int64_t least_nodes = std::int64_t{1} << 22;  // that trees of any image may have
 constexpr std::int64_t judged_groups = 5, judged_tiles = 500;
+constexpr std::size_t sooner_direct =
+    40;  // traces that are summed in less time than pixels off the plane are read one by one
 constexpr std::size_t at_once = 16;  // groups whose trees are made side by side, whatever the number of threads
 
 Geometry geometry_of(const Scene& scene) {
@@ -67,9 +69,13 @@ struct Share {
     double through = 0, everything = 0;
 
     void count(std::size_t traces, const Numbers& pixels, const Fates& fates) {
-        const auto read = static_cast<double>(pixels_of(pixels, fates.read));
-        through += static_cast<double>(traces) * read;
-        everything += static_cast<double>(traces) * (read + static_cast<double>(pixels_of(pixels, fates.direct)));
+        count(traces, pixels, fates.read, fates.direct);
+    }
+    void count(std::size_t traces, const Numbers& pixels, const std::vector<std::uint8_t>& read,
+               const std::vector<std::uint8_t>& direct) {
+        const auto from_trees = static_cast<double>(pixels_of(pixels, read));
+        through += static_cast<double>(traces) * from_trees;
+        everything += static_cast<double>(traces) * (from_trees + static_cast<double>(pixels_of(pixels, direct)));
     }
     double value() const { return through / std::max(everything, 1.0); }
 };
@@ -89,6 +95,7 @@ struct Layer {
     const Tiled& tiled;
     std::vector<double> heights;
     int number;
+    bool alone;
     std::vector<Seen> seen;  // by group
 
     double plane() const { return heights[static_cast<std::size_t>(number)]; }
@@ -116,6 +123,7 @@ struct ForestMaker {
     std::vector<Layer> layers;
     Poll& poll;
     int threads;
+    double turned;  // what heights may turn along lines, rad of phase
 
     // Adds a section's layers; false where it cannot be read.
     bool look(const Tiled& tiled, double near, const OffPlanes& relief, bool whole) {
@@ -136,7 +144,7 @@ struct ForestMaker {
             if (whole && std::find(found.direct.begin(), found.direct.end(), 1) != found.direct.end()) return false;
         }
         for (std::size_t k = 0; k < planes.heights.size(); ++k) {
-            Layer layer{tiled, planes.heights, static_cast<int>(k), std::vector<Seen>(groups.size())};
+            Layer layer{tiled, planes.heights, static_cast<int>(k), planes.alone, std::vector<Seen>(groups.size())};
             each([&](std::size_t g) { layer.seen[g] = seen_of(layer, groups[g], fates[g]); });
             layers.push_back(std::move(layer));
         }
@@ -178,6 +186,7 @@ struct ForestMaker {
                             layer.number,
                             tiled.pixels,
                             tiled.lines ? tiled.lines->column : 0,
+                            tiled.flat ? 0 : turn_of(layout, turned),
                             {}};
             for (std::size_t begin = 0; begin < groups.size(); begin += at_once) {
                 std::vector<Grown> grown(std::min(at_once, groups.size() - begin));
@@ -196,7 +205,7 @@ struct ForestMaker {
                     if (grown[k].too_large || left < 0) return {};
                     if (pixels_of(tiled.pixels, fates.read) + pixels_of(tiled.pixels, fates.direct) == 0) continue;
                     if (!tree.levels.empty()) widen(tree, step, out);
-                    if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, fates);
+                    if (layer.number == 0) share.count(tree.traces.size(), tiled.pixels, tree.read, tree.direct);
                     out.longest = std::max(out.longest, groups[begin + k].extent);
                     ++out.count;
                     section.trees.push_back(std::move(tree));
@@ -221,6 +230,7 @@ struct ForestMaker {
         const Tiled& tiled = layer.tiled;
         const Point& axis = group.axis;
         Grown out{{group.traces, seen.fates.read, seen.fates.direct, {}, -1, {axis.x, axis.y, axis.z}}};
+        if (layer.alone) out.tree.own = own_of(scene, group);
         if (seen.readings.empty()) return out;
         std::int64_t floats = 2 * left;
         Subtree below = make_subtree(group, geometry_of(scene), centres, layout, layer.plane(), seen.direction,
@@ -234,8 +244,16 @@ struct ForestMaker {
         // of levels from the top, the one below those that have weights
         const auto lit = static_cast<std::size_t>(lit_levels(layout.fans));
         if (lit < out.tree.levels.size()) out.tree.lit = static_cast<int>(out.tree.levels.size() - 1 - lit);
-        if (tiled.flat && tiled.lines && layout.crossing > 0)
-            choose_reads(out.tree, group, tiled, *tiled.lines, layout);
+        if (tiled.lines && layout.crossing > 0)
+            choose_reads(out.tree, group, tiled, layer.plane(), *tiled.lines, layout, turned,
+                         layer.alone ? own_turn(scene, group) : 0);
+        if (!tiled.flat && layer.heights.size() == 1 && group.traces.size() <= sooner_direct) {
+            for (std::size_t i = 0; i < out.tree.read.size(); ++i) {
+                if (out.tree.read[i] != by_pixels) continue;
+                out.tree.read[i] = unread;
+                out.tree.direct[i] = 1;
+            }
+        }
         return out;
     }
 
@@ -322,7 +340,7 @@ std::optional<PlannedForest> make_forest(const Scene& scene, const std::vector<T
                                          double near, const OffPlanes& relief, double least, bool whole, Poll& poll,
                                          int threads) {
     const Survey& survey = scene.survey;
-    ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll, threads};
+    ForestMaker maker{scene, layout, phase_centres(geometry_of(scene)), {}, {}, poll, threads, relief.lines};
     for (Numbers& piece : cut(scene, maker.centres, layout.length))
         maker.groups.push_back(make_group(std::move(piece), maker.centres));
     for (const Tiled& tiled : image) {

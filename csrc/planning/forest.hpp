@@ -21,10 +21,11 @@ struct Served {
     int planes;
     std::int64_t groups;
 };
-// How pixels off the planes of sub-images are read: from how many, and the relative error that this may cost.
+// How pixels off the planes of sub-images are read: from how many, the relative error that this may cost, and what
+// lines of them may.
 struct OffPlanes {
     int count;
-    double error;
+    double error, lines;
 };
 // `near`: slant range from which tiles are read.
 Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout& layout, double near,

@@ -84,8 +84,9 @@ double quantile(std::vector<double>& values, double q) {
     return part < 0.5 ? low + (high - low) * part : high - (high - low) * (1 - part);
 }
 
-// Candidates for the longest groups: fractions of the ground distances of the image, at most the track.
-std::vector<double> lengths_of(const Places& track, const Sample& sample) {
+// Candidates for the longest groups: fractions of the ground distances of the image, at most the track; and `apart`, if
+// any.
+std::vector<double> lengths_of(const Places& track, const Sample& sample, double apart) {
     std::vector<double> away;
     for (const Point& place : every(track, tracked)) {
         for (const Point& pixel : sample.at) {
@@ -104,6 +105,7 @@ std::vector<double> lengths_of(const Places& track, const Sample& sample) {
         const double limit = quantile(away, share) / near_lengths;
         for (const double part : {0.95, 0.5, 0.25, 0.12}) out.push_back(std::min(limit * part, whole + 1e-3));
     }
+    if (apart > 0) out.push_back(apart);
     std::sort(out.begin(), out.end());
     out.erase(std::unique(out.begin(), out.end()), out.end());
     out.erase(out.begin(), std::upper_bound(out.begin(), out.end(), 0.0));
@@ -186,8 +188,11 @@ std::vector<Sight> sights_of(const Scene& scene, const Parallel* lines) {
     double path = 0;
     for (std::size_t i = 1; i < paces.size(); ++i) path += length(paces[i] - paces[i - 1]);
     const double area = extent_of(sample, true) * extent_of(sample, false);  // by its corners' spans
+    // the array of a ping lies on a line, and sees any heights alike
+    const bool alone = scene.pixels.heights.z && scene.survey.channels > 1 && track.at.size() > 1;
+    const double apart = alone ? 0.9 * path / static_cast<double>(track.at.size() - 1) : 0;
     std::vector<Sight> out;
-    for (const double longest : lengths_of(track.at, sample)) {
+    for (const double longest : lengths_of(track.at, sample, apart)) {
         if (auto sight = sight_of(scene, sample, track, lines, area, path, longest)) out.push_back(*sight);
     }
     return out;
@@ -225,7 +230,8 @@ double seconds_of(const Scene& scene, const Sight& sight, const Layout& layout, 
                                              sight.turning.begin());
     const double lines =
         layout.crossing > 0 ? crossed / static_cast<double>(std::max<std::size_t>(sight.turning.size(), 1)) : 0;
-    const double read = (costs.tree.read[0] + costs.tree.read[1] * width) * (1 - (1 - line_cost) * lines);
+    const double read = (scene.pixels.heights.z ? relief_cost : 1) * (costs.tree.read[0] + costs.tree.read[1] * width) *
+                        (1 - (1 - line_cost) * lines);
     return 1e-9 * sight.groups * (work + static_cast<double>(scene.wanted) * sight.lit * sight.served * read);
 }
 

@@ -25,9 +25,10 @@ constexpr double share_positions = 0.03;  // of a budget, for polynomials of pos
 constexpr double share_ends = 0.2;
 // of a budget, for what a beam's taper leaves beyond the bands of sub-images across their rays, and along them
 constexpr double share_fading = 0.15, share_ramp = 0.05;
-constexpr double few_nodes = 4;       // of a sub-image: smaller images are summed directly
-constexpr int most_planes = 6;        // that pixels off them are read from
-constexpr double share_relief = 0.2;  // of a budget, for pixels read off the planes of their sub-images, where any are
+constexpr double few_nodes = 4;  // of a sub-image: smaller images are summed directly
+constexpr int most_planes = 6;   // that pixels off them are read from
+// of a budget, for pixels read off the planes of their sub-images, where any are, and along lines that are not straight
+constexpr double share_relief = 0.12, share_lines = 0.08;
 // wavelengths: beyond it sub-images have more nodes than memory holds, and double loses 1e-5 anyway
 constexpr double farthest = 1e9;
 constexpr double tree_tol = 3e-5;  // below it float sub-images would round too much
@@ -160,17 +161,17 @@ class Planner {
         out.height = std::max(top - s_.low.z, s_.high.z - bottom);
         out.image = tiles_of(s_, out.block);
         const bool flat = std::all_of(out.image.begin(), out.image.end(), [](const Tiled& t) { return t.flat; });
-        out.relief = {1, flat ? 0 : share_relief * tol};
+        out.relief = {1, flat ? 0 : share_relief * tol, flat ? 0 : share_lines * tol};
         const Parallel* lines = nullptr;
         for (Tiled& tiled : out.image) {
-            if (out.block > 0 && tiled.flat)
-                tiled.lines = parallel_of(s_, tiled.begin, tiled.end, out.block, share_rounding * share);
+            if (out.block > 0) tiled.lines = parallel_of(s_, tiled.begin, tiled.end, out.block, share_rounding * share);
             if (tiled.lines && !lines) lines = &*tiled.lines;
         }
         const bool fades = s_.light.terms > 0;
         const double fading = fades ? share_fading * tol : 0, ramp = fades ? share_ramp * tol : 0;
         const double bright = s_.brightness();  // which what weights are wrong by is relative to
-        const Kinds kinds = kinds_within(tol * (1 - share_positions) - share - out.relief.error - fading - ramp);
+        const Kinds kinds =
+            kinds_within(tol * (1 - share_positions) - share - out.relief.error - out.relief.lines - fading - ramp);
         if (kinds.empty()) return {{}, "no interpolation keeps tol", {}};
         const double direct = sum_seconds(s_, plain, costs_);
         const auto options = cheapest(s_, kinds, costs_, lines, spare, fading * bright, direct);
@@ -187,7 +188,7 @@ class Planner {
             [&](std::int64_t task) {
                 const Option& option = options[static_cast<std::size_t>(task / stacks)];
                 const Layout layout = clear(option.layout, out);
-                const OffPlanes relief{static_cast<int>(task % stacks) + 1, out.relief.error};
+                const OffPlanes relief{static_cast<int>(task % stacks) + 1, out.relief.error, out.relief.lines};
                 const Served served = pysas::served(s_, out.image, layout, out.near, relief);
                 const double seconds = option.all * served.share * served.planes + direct * (1 - served.share);
                 const std::int64_t count = served.planes * served.groups;
@@ -198,6 +199,7 @@ class Planner {
             {});
         std::stable_sort(out.choices.begin(), out.choices.end(),
                          [](const Choice& a, const Choice& b) { return a.cost < b.cost; });
+
         return {std::move(out), {}, {}};
     }
 
@@ -320,7 +322,7 @@ class Planner {
         settings.errors.emplace_back("sub-images",
                                      std::hypot(tree_error(planned.layout.taps, planned.layout.fans.size() + 1), ends));
         if (merges > 0) settings.errors.emplace_back("positions", share_positions * tol * merges / most_merges);
-        if (best.relief.error > 0) settings.errors.emplace_back("relief", best.relief.error);
+        if (best.relief.error > 0) settings.errors.emplace_back("relief", best.relief.error + best.relief.lines);
         if (s_.light.terms > 0) settings.errors.emplace_back("taper", (share_fading + share_ramp) * tol);
         planned.forest.slack = share_phase * best.share;
         settings.near = std::max(settings.near, best.near);  // tiles are as wide as its blocks

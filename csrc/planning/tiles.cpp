@@ -42,7 +42,7 @@ struct Row {
     void corners(std::vector<Point>& out) const {
         std::vector<Box> boxes(static_cast<std::size_t>(blocks()));
         double cosine = 1, sine = 0;
-        if (pixels.straight()) {
+        if (pixels.lined()) {
             double x = 0, y = 0;
             for (std::int64_t i = line; i < last; ++i) {
                 x += pixels.step[static_cast<std::size_t>(3 * i)];
@@ -53,6 +53,7 @@ struct Row {
                 sine = y / size;
             }
             hold_ends(boxes, cosine, sine);
+            if (pixels.heights.z) hold_heights(boxes);
         } else {
             hold_points(boxes);
         }
@@ -71,6 +72,28 @@ struct Row {
                     boxes[static_cast<std::size_t>(k)].hold(
                         {p.x * cosine + p.y * sine, p.y * cosine - p.x * sine, p.z});
                 }
+            }
+        }
+    }
+
+    // Of a map, whose lines have heights of their own.
+    void hold_heights(std::vector<Box>& boxes) const {
+        for (Box& box : boxes) {
+            box.low[2] = HUGE_VAL;
+            box.high[2] = -HUGE_VAL;
+        }
+        for (std::int64_t i = line; i < last; ++i) {
+            const double* z = pixels.heights.z + i * pixels.heights.row;
+            const std::int64_t apart = pixels.heights.apart;
+            for (std::int64_t left = 0, k = 0; left < pixels.width; left += count, ++k) {
+                double low = HUGE_VAL, high = -HUGE_VAL;
+                for (std::int64_t m = left; m < std::min(left + count, pixels.width); ++m) {
+                    low = std::min(low, z[m * apart]);
+                    high = std::max(high, z[m * apart]);
+                }
+                Box& box = boxes[static_cast<std::size_t>(k)];
+                box.low[2] = std::min(box.low[2], low - pixels.heights.origin);
+                box.high[2] = std::max(box.high[2], high - pixels.heights.origin);
             }
         }
     }

@@ -1,6 +1,7 @@
 // An image cut into tiles, by the plane its lines lie on, with boxes about them.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -9,12 +10,19 @@
 
 namespace pysas {
 
-// The lines of a stretch of an image, as far apart as each other and steps alike, all on one plane: from pixel to pixel
-// along them, and from line to line; and the pixels of a column and of a line that one polynomial of positions holds
-// for.
+// The lines of a stretch of an image, as far apart as each other and steps alike when looked at from above: from pixel
+// to pixel along them, and from line to line; the pixels of a column and of a line that one polynomial of positions
+// holds for, and those of a tile at most.
 struct Parallel {
     Point step, down;
     int column, line;
+    std::int64_t height, width;
+    int block;
+
+    std::int64_t across() const { return (width + block - 1) / block; }
+    // Pixels of a column, or of a line, of tile number `tile` and those behind it.
+    std::int64_t rows_from(std::int64_t tile) const { return height - tile / across() * tile_rows; }
+    std::int64_t pixels_from(std::int64_t tile) const { return width - tile % across() * block; }
 };
 
 // Lines [begin, end) of an image in tiles of tile_rows lines and `block` pixels, row by row of tiles.

@@ -72,6 +72,12 @@ class Grid:
         return cls._made("surface", axes, shape, mask, height=_checks.reals("z", z, [shape], ("row", "column")))
 
     @classmethod
+    def of_heights(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: FloatArray) -> Grid:
+        """A surface whose finite heights stay where they are: who changes them uses the grid no more."""
+        axes = {"x": _axis("x", x), "y": _axis("y", y)}
+        return cls._made("surface", axes, (axes["y"].size, axes["x"].size), None, height=z)
+
+    @classmethod
     def volume(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> Grid:
         """Box of points; shape (len(z), len(y), len(x))."""
         axes = {"x": _axis("x", x), "y": _axis("y", y), "z": _axis("z", z)}

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -145,6 +145,7 @@ class _Stream:
         self.given: int | None = None  # the image given away last
         self.reach = (-np.inf, np.inf)  # of the newest ping
         self.ground: dict[int, FloatArray] = {}  # heights of images to come
+        self.heights: FloatArray = np.empty(0)  # of a block, in the same memory from block to block
         self.before: EnginePlan | None = None  # whose memory is used again
         self.room: ComplexArray = np.empty(0, dtype=np.complex64)
 
@@ -189,14 +190,23 @@ class _Stream:
         strip = self.strip
         if not callable(strip.z):
             return strip.grid(low, high - low)
-        parts, columns = [], strip.columns
+        columns, size = strip.columns, strip.y.size * (high - low)
+        if self.heights.size < size:
+            self.heights = np.empty(size + size // 8)
+        heights = self.heights[:size].reshape(strip.y.size, high - low)
         for number in range(low // columns, (high - 1) // columns + 1):
             begin = number * columns
-            if number not in self.ground:
-                found = strip.z(strip._x(begin, columns), strip.y)
-                self.ground[number] = _checks.reals("z", found, [(strip.y.size, columns)], ("row", "column"))
-            parts.append(self.ground[number][:, max(low - begin, 0) : high - begin])
-        return Grid.surface(strip._x(low, high - low), strip.y, np.concatenate(parts, axis=1))
+            first, last = max(low, begin), min(high, begin + columns)
+            heights[:, first - low : last - low] = self._ground(number)[:, first - begin : last - begin]
+        return Grid.of_heights(strip._x(low, high - low), strip.y, heights)
+
+    def _ground(self, number: int) -> FloatArray:
+        """Heights of an image to come."""
+        if number not in self.ground:
+            strip = self.strip
+            found = cast("Callable[..., npt.ArrayLike]", strip.z)(strip._x(number * strip.columns, strip.columns), strip.y)
+            self.ground[number] = _checks.reals("z", found, [(strip.y.size, strip.columns)], ("row", "column"))
+        return self.ground[number]
 
     def _room(self, grid: Grid, echoes: Echoes) -> ComplexArray:
         """Where a block's image goes: the same memory from block to block, whose first touch takes as long as some sums."""
@@ -254,8 +264,8 @@ class _Stream:
             sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
             max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
         )  # fmt: skip
-        first = number * strip.columns
-        grid = self._grid(first, first + strip.columns)
+        x = strip._x(number * strip.columns, strip.columns)
+        grid = Grid.of_heights(x, strip.y, self._ground(number)) if callable(strip.z) else Grid.plane(x, strip.y, strip.z)
         self.ground.pop(number, None)
         return Image(one.data, grid, report, one.fc, one.c)
 
