@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.signal import compression
+from pysas.signal import blocks
 from pysas.signal.compression import compress
 
 FS, FC, N = 40e3, 100e3, 600
@@ -209,12 +209,12 @@ def test_same_bits_for_any_threads_and_batches(dtype: Any, monkeypatch: pytest.M
     for threads in (2, 3, 7):
         assert np.array_equal(compress(raw, window="hann", threads=threads).data, expected)
     for size in (1, 40_000, 90_000):
-        monkeypatch.setattr(compression, "_BATCH_BYTES", size)
+        monkeypatch.setattr(blocks, "BYTES", size)
         assert np.array_equal(compress(raw, window="hann", threads=2).data, expected)
 
 
 def test_progress_ends_at_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
     seen: list[float] = []
     compress(echoes(noise((3, 2, 100))), progress=seen.append)
     assert len(seen) == 6
@@ -223,7 +223,7 @@ def test_progress_ends_at_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_interrupt_between_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
 
     def stop(_: float) -> None:
         raise KeyboardInterrupt
@@ -302,6 +302,6 @@ def test_errors(raw: Any, options: dict[str, Any], error: type[Exception], text:
 
 
 def test_non_finite_sample_in_a_later_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
     with pytest.raises(ValueError, match="ping 2, channel 1, sample 7"):
         compress(echoes(_with_bad((3, 2, 200), (2, 1, 7), np.nan)))
