@@ -311,7 +311,7 @@ def test_a_pulse_a_ping() -> None:
         assert found.pulse is None
     mixed = [GAUSSIAN, samples[1], samples[2], DOWN, down]
     assert np.abs(compress(raw, pulse=mixed, pulse_t0=starts * [0, 1, 1, 0, 0]).data - expected).max() < 1e-10
-    assert np.abs(compress(raw, pulse=GAUSSIAN).data[1] - expected[1]).max() > 0.5
+    assert np.abs(compress(raw, pulse=GAUSSIAN).data[1] - expected[1]).max() > 0.3  # the other sweep shows
 
 
 def test_pulses_given_come_before_the_echoes_own() -> None:
