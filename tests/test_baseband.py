@@ -244,6 +244,8 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"rate": np.nan}, ValueError, "rate=nan"),
     ({"bandwidth": None}, TypeError, "bandwidth=None, rate=None"),
     ({"bandwidth": 400.0}, ValueError, r"bandwidth=400 Hz: expected more than a record of 1000 samples resolves, 500 Hz"),
+    ({"bandwidth": 5e-324}, ValueError, "expected more than a record of 1000 samples resolves"),
+    ({"bandwidth": None, "rate": 3e5}, ValueError, "bandwidth=214286 Hz: -7142.86 to 207143 Hz are kept"),
     ({"bandwidth": 0.0}, ValueError, "bandwidth=0.0"),
     ({"fs": 0.0}, ValueError, "fs=0.0"),
     ({"samples": WAVE + 0j}, TypeError, "carrier=None: expected that of the complex samples"),

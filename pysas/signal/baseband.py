@@ -112,11 +112,15 @@ def demodulate(
     """
     given, form = _given(samples, carrier, iq)
     fs, fc = _checks.number("fs", fs, positive=True), _checks.number("fc", fc, positive=True)
-    kept, ratio = _band(fs, bandwidth, rate)
-    rate = fs * ratio.numerator / ratio.denominator if rate is None else float(rate)
+    if bandwidth is None and rate is None:
+        raise TypeError("bandwidth=None, rate=None: expected the band to keep or the rate to have, Hz")
+    rate = None if rate is None else _checks.number("rate", rate, positive=True)
+    kept = (rate or 0) / _USUAL if bandwidth is None else _checks.number("bandwidth", bandwidth, positive=True)
     real = given.dtype.kind != "c" and not iq
     offset = fc if real else fc - _checks.number("carrier", carrier, low=0.0)
     room = _require_band(fs, fc, offset, kept, form[-1], real)
+    ratio = _sufficient(_USUAL * kept / fs) if rate is None else _ratio(fs, rate, kept)
+    rate = fs * ratio.numerator / ratio.denominator if rate is None else rate
     workers = _checks.threads(threads)
     start = _start(t0, form)
     count = -(-form[-1] * ratio.numerator // ratio.denominator)
@@ -149,23 +153,15 @@ def _given(samples: npt.ArrayLike, carrier: float | None, iq: bool) -> tuple[npt
     return given, form
 
 
-def _band(fs: float, bandwidth: float | None, rate: float | None) -> tuple[float, Fraction]:
-    """Band that is kept, Hz, and the ratio of the rate to fs."""
-    if bandwidth is None and rate is None:
-        raise TypeError("bandwidth=None, rate=None: expected the band to keep or the rate to have, Hz")
-    if bandwidth is not None:
-        bandwidth = _checks.number("bandwidth", bandwidth, positive=True)
-    if rate is None:
-        return float(bandwidth or 0), _sufficient(_USUAL * float(bandwidth or 0) / fs)
-    rate = _checks.number("rate", rate, positive=True)
+def _ratio(fs: float, rate: float, kept: float) -> Fraction:
+    """Rate over fs in whole numbers."""
     ratio = Fraction(rate / fs).limit_denominator(_STEPS)
     if ratio.numerator > _STEPS or abs(float(ratio) - rate / fs) > 1e-12 * rate / fs:
         near = fs * float(min(max(ratio, Fraction(1, _STEPS)), Fraction(_STEPS)))
         raise ValueError(f"rate={rate:.12g} Hz: expected a ratio of whole numbers to fs {fs:g} Hz, such as {near:.12g} Hz")
-    kept = rate / _USUAL if bandwidth is None else bandwidth
     if rate < _LEAST * kept * (1 - 1e-12):
         raise ValueError(f"rate={rate:g} Hz: expected at least {_LEAST} x the band of {kept:g} Hz, {_LEAST * kept:g} Hz")
-    return kept, ratio
+    return ratio
 
 
 def _sufficient(least: float) -> Fraction:
