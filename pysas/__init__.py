@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
+    from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
@@ -29,8 +30,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
-    "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot",
-    "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan",
+    "plot", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
@@ -44,6 +45,7 @@ _MODULES = {
     "model.grid": ("Grid",),
     "model.image": ("Image", "Report"),
     "model.pulse": ("LFM",),
+    "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),

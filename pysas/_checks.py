@@ -132,26 +132,27 @@ def samples(name: str, value: Any, ndims: Sequence[int]) -> ComplexArray:
     return array
 
 
-def target(out: Any, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-    """Check `out`, into which an image of this shape and dtype is to be written."""
+def target(out: Any, shape: tuple[int, ...], *dtypes: npt.DTypeLike, whose: str = "the grid's") -> None:
+    """Check `out`, into which an array of this shape and one of these dtypes is to be written."""
     if out is None:
         return
-    if not isinstance(out, np.ndarray) or isinstance(out, np.ma.MaskedArray) or out.dtype != dtype:
-        plain = isinstance(out, np.ndarray) and not isinstance(out, np.ma.MaskedArray)
-        raise TypeError(f"out: expected an array of {dtype}, found {out.dtype if plain else type(out).__name__}")
+    plain = isinstance(out, np.ndarray) and not isinstance(out, np.ma.MaskedArray)
+    if not plain or out.dtype not in [np.dtype(dtype) for dtype in dtypes]:
+        wanted = " or ".join(str(np.dtype(dtype)) for dtype in dtypes)
+        raise TypeError(f"out: expected an array of {wanted}, found {out.dtype if plain else type(out).__name__}")
     if out.shape != shape:
-        raise ValueError(f"out: expected the grid's shape {shape}, found {out.shape}")
+        raise ValueError(f"out: expected {whose} shape {shape}, found {out.shape}")
     if not out.flags.writeable:
         raise ValueError("out: expected a writeable array, found a read-only one")
     needed = out.itemsize
     for step, count in sorted((abs(step), count) for step, count in zip(out.strides, out.shape, strict=True) if count > 1):
         if step < needed:
-            raise ValueError(f"out: strides {out.strides}: expected memory of its own for every pixel")
+            raise ValueError(f"out: strides {out.strides}: expected memory of its own for every entry")
         needed += step * (count - 1)
 
 
-def apart(out: npt.NDArray[Any] | None, data: npt.NDArray[Any]) -> None:
-    """Check that writing to `out` leaves `data` as they are."""
+def apart(out: npt.NDArray[Any] | None, data: npt.NDArray[Any], name: str = "data") -> None:
+    """Check that writing to `out` leaves `data`, the argument `name`, as they are."""
     if out is None or not np.may_share_memory(out, data):
         return
     try:
@@ -159,7 +160,7 @@ def apart(out: npt.NDArray[Any] | None, data: npt.NDArray[Any]) -> None:
     except np.exceptions.TooHardError:
         shared = True
     if shared:
-        raise ValueError("out: shares memory with data: expected memory of its own")
+        raise ValueError(f"out: shares memory with {name}: expected memory of its own")
 
 
 def callback(name: str, value: Any) -> None:

@@ -29,9 +29,9 @@ def aliases():
     yield "turned data", near.replace(data=part), grid, part[::-1, 0, ::-1], "shares memory with data"
     row = np.zeros(30, complex)
     same = np.lib.stride_tricks.as_strided(row, (16, 30), (0, 16))
-    yield "one row", ECHOES, grid, same, "memory of its own for every pixel"
+    yield "one row", ECHOES, grid, same, "memory of its own for every entry"
     lap = np.lib.stride_tricks.as_strided(np.zeros(600, complex), (16, 30), (16 * 29, 16))
-    yield "rows that lap over", ECHOES, grid, lap, "memory of its own for every pixel"
+    yield "rows that lap over", ECHOES, grid, lap, "memory of its own for every entry"
 
 
 ALIASES = list(aliases())

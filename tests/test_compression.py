@@ -8,6 +8,7 @@ is what aliases, stays near 1e-5; a rect or Taylor pulse has steps and gains or 
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.signal import compression
+from pysas.signal import blocks
 from pysas.signal.compression import compress
 
 FS, FC, N = 40e3, 100e3, 600
@@ -209,12 +210,12 @@ def test_same_bits_for_any_threads_and_batches(dtype: Any, monkeypatch: pytest.M
     for threads in (2, 3, 7):
         assert np.array_equal(compress(raw, window="hann", threads=threads).data, expected)
     for size in (1, 40_000, 90_000):
-        monkeypatch.setattr(compression, "_BATCH_BYTES", size)
+        monkeypatch.setattr(blocks, "BYTES", size)
         assert np.array_equal(compress(raw, window="hann", threads=2).data, expected)
 
 
 def test_progress_ends_at_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
     seen: list[float] = []
     compress(echoes(noise((3, 2, 100))), progress=seen.append)
     assert len(seen) == 6
@@ -223,7 +224,7 @@ def test_progress_ends_at_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_interrupt_between_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
 
     def stop(_: float) -> None:
         raise KeyboardInterrupt
@@ -269,12 +270,106 @@ def test_input_is_not_changed() -> None:
     assert np.array_equal(data, copy)
 
 
+# Pulses as they were measured, and one a ping
+
+GAUSSIAN = LFM(FC, 12e3, 2e-3, "gaussian", 1.4e-4)  # exp(-7.1^2/2), 8e-12 of it, is left at its ends, where samples may end
+DOWN = LFM(FC, -12e3, 2e-3, "gaussian", 1.4e-4)
+
+
+def measured(pulse: LFM, start: float, count: int = 110) -> Any:
+    """Samples of a pulse at rate FS from time `start` on."""
+    return pulse.waveform(start + np.arange(count) / FS)
+
+
+def closed_form(pulse: LFM, delay: float, n: int = N) -> Any:
+    u = np.arange(n) / FS - delay
+    return pulse.response(u) * np.exp(-2j * np.pi * FC * delay)
+
+
+@pytest.mark.parametrize(("lead", "allowed"), [(0.0, 1e-10), (-7.0, 1e-10), (-7.31, 1e-10), (4.5, 1e-8), (12.0, 1e-5)])
+def test_a_measured_pulse_begins_when_it_does(lead: float, allowed: float) -> None:
+    """Pailhas et al., Eq 18, to what is cut off: exp(-6.3^2/2) at 4.5 samples after the leading edge, exp(-5^2/2) at 12."""
+    delay = (244 + 0.37) / FS
+    raw = echoes([echo(GAUSSIAN, delay)], None)
+    found = compress(raw, pulse=measured(GAUSSIAN, lead / FS), pulse_t0=lead / FS).data[0]
+    assert np.abs(found - closed_form(GAUSSIAN, delay)).max() < allowed
+    assert compress(raw, pulse=measured(GAUSSIAN, lead / FS), pulse_t0=lead / FS, window="hann").compressed
+
+
+def test_a_pulse_a_ping() -> None:
+    """Up- and down-sweeps in turn, as formulas or as measured, each with its own start."""
+    delays = (200 + np.array([0.0, 10.3, 20.6, 30.9, 41.2])) / FS
+    sweeps = [GAUSSIAN, DOWN, GAUSSIAN, DOWN, DOWN]
+    raw = echoes([echo(pulse, delay) for pulse, delay in zip(sweeps, delays, strict=True)], None)
+    expected = np.array([closed_form(pulse, delay) for pulse, delay in zip(sweeps, delays, strict=True)])
+    starts = np.array([0.0, -3.0, -2.5, -1.0, -0.25]) / FS
+    samples = [measured(pulse, start) for pulse, start in zip(sweeps, starts, strict=True)]
+    up, down = measured(GAUSSIAN, 0.0), measured(DOWN, 0.0, 100)
+    for pulse, start in ((sweeps, 0.0), (samples, starts), (np.array(samples), starts), ([up, down, up, down, down], 0.0)):
+        found = compress(raw, pulse=pulse, pulse_t0=start)
+        assert np.abs(found.data - expected).max() < 1e-10
+        assert found.pulse is None
+    mixed = [GAUSSIAN, samples[1], samples[2], DOWN, down]
+    assert np.abs(compress(raw, pulse=mixed, pulse_t0=starts * [0, 1, 1, 0, 0]).data - expected).max() < 1e-10
+    assert np.abs(compress(raw, pulse=GAUSSIAN).data[1] - expected[1]).max() > 0.3  # the other sweep shows
+
+
+def test_pulses_given_come_before_the_echoes_own() -> None:
+    raw = echoes([echo(GAUSSIAN, 0.005)], TUKEY)
+    assert np.abs(compress(raw, pulse=GAUSSIAN).data[0] - closed_form(GAUSSIAN, 0.005)).max() < 1e-10
+
+
+def test_same_bits_for_any_blocks_of_many_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = echoes(noise((150, 2, 130)), None)
+    pulses = list(noise((75, 40), 3)) * 2
+    expected = compress(raw, pulse=pulses, threads=1).data
+    for ping in (0, 74, 75, 149):
+        alone = echoes(raw.data[ping : ping + 1], None)
+        assert np.abs(compress(alone, pulse=pulses[ping]).data - expected[ping]).max() < 1e-6
+    for size in (1, 40_000):
+        monkeypatch.setattr(blocks, "BYTES", size)
+        assert np.array_equal(compress(raw, pulse=pulses, threads=2).data, expected)
+
+
+# Samples that are none, and results in memory of the caller's
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, complex(1, -np.inf)])
+def test_masked_samples_count_as_zero_and_stay(value: complex, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = noise((4, 3, 200))
+    bad = np.zeros(data.shape, bool)
+    bad[1, 0, :30] = bad[1, 2, 150:] = bad[2, 1, 99] = bad[3] = True
+    zeros = np.where(bad, 0, data)
+    expected = compress(echoes(zeros)).data
+    for size in (blocks.BYTES, 1):
+        monkeypatch.setattr(blocks, "BYTES", size)
+        found = compress(echoes(np.where(bad, value, data)), nan="mask").data
+        assert np.array_equal(np.isfinite(found), ~bad)
+        assert np.array_equal(found[~bad], expected[~bad])
+
+
+def test_result_in_memory_of_the_caller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks, "BYTES", 40_000)
+    data = noise((20, 2, 200))
+    expected = compress(echoes(data)).data
+    data.tofile(tmp_path / "raw")
+    raw = echoes(np.memmap(tmp_path / "raw", np.complex64, "r", shape=data.shape))
+    out = np.memmap(tmp_path / "out", np.complex64, "w+", shape=data.shape)
+    found = compress(raw, out=out)
+    assert np.shares_memory(found.data, out) and np.array_equal(out, expected)
+    out.flush()
+    assert np.array_equal(np.fromfile(tmp_path / "out", np.complex64).reshape(data.shape), expected)
+    flat = np.empty((20, 200), np.complex64)
+    assert np.array_equal(compress(echoes(data[:, 0]), out=flat).data, expected[:, 0]) and np.array_equal(flat, expected[:, 0])
+
+
 def _with_bad(shape: tuple[int, ...], where: tuple[int, ...], value: complex) -> Any:
     data = noise(shape)
     data[where] = value
     return data
 
 
+OUT = noise((2, 200))
 BAD: list[tuple[str, Any, dict[str, Any], type[Exception], str]] = [
     ("array", noise((2, 200)), {}, TypeError, "raw=ndarray: expected pysas.Echoes"),
     ("compressed", echoes(noise((2, 200)), compressed=True), {}, ValueError, "range-compressed already"),
@@ -292,6 +387,20 @@ BAD: list[tuple[str, Any, dict[str, Any], type[Exception], str]] = [
     ("threads 0", echoes(noise((2, 200))), {"threads": 0}, ValueError, "threads=0"),
     ("threads float", echoes(noise((2, 200))), {"threads": 1.5}, TypeError, "threads=1.5"),
     ("progress", echoes(noise((2, 200))), {"progress": 1}, TypeError, "progress=1"),
+    ("nan word", echoes(noise((2, 200))), {"nan": "zero"}, ValueError, "nan='zero'"),
+    ("out shape", echoes(OUT), {"out": np.empty((2, 199), "c8")}, ValueError, r"out: expected the data's shape \(2, 200\)"),
+    ("out dtype", echoes(OUT), {"out": np.empty((2, 200), "c16")}, TypeError, "out: expected an array of complex64"),
+    ("out overlaps", echoes(OUT), {"out": OUT}, ValueError, "out: shares memory with raw"),
+    ("pulse type", echoes(noise((2, 200))), {"pulse": 3.0}, TypeError, "pulse=float"),
+    ("pulse real", echoes(noise((2, 200))), {"pulse": np.ones(9)}, TypeError, "pulse: expected complex64 or complex128"),
+    ("pulse nan", echoes(noise((2, 200))), {"pulse": np.full(9, np.nan + 0j)}, ValueError, "pulse: expected finite samples"),
+    ("pulse count", echoes(noise((2, 200))), {"pulse": [TUKEY] * 3}, ValueError, "one a ping, 2, found 3"),
+    ("pulse of one", echoes(noise((2, 200))), {"pulse": [TUKEY, 1]}, TypeError, r"pulse\[1\]: expected complex64"),
+    ("pulse long", echoes(noise((2, 200))), {"pulse": [TUKEY, noise((201,))]}, ValueError, "of ping 1: expected no longer"),
+    ("start of LFM", echoes(noise((2, 200))), {"pulse_t0": 1e-3}, ValueError, "pulse_t0: 0.001 s at ping 0: expected 0 with"),
+    ("start count", echoes(noise((2, 200))), {"pulse_t0": [0.0]}, ValueError, r"pulse_t0: expected shape \(2,\)"),
+    ("start far", echoes(noise((2, 200))), {"pulse": noise((9,)), "pulse_t0": 1.7e9}, ValueError, "pulse_t0: 1.7e"),
+    ("start nan", echoes(noise((2, 200))), {"pulse": noise((9,)), "pulse_t0": np.nan}, ValueError, "pulse_t0=nan"),
 ]
 
 
@@ -302,6 +411,6 @@ def test_errors(raw: Any, options: dict[str, Any], error: type[Exception], text:
 
 
 def test_non_finite_sample_in_a_later_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compression, "_BATCH_BYTES", 1)
+    monkeypatch.setattr(blocks, "BYTES", 1)
     with pytest.raises(ValueError, match="ping 2, channel 1, sample 7"):
         compress(echoes(_with_bad((3, 2, 200), (2, 1, 7), np.nan)))

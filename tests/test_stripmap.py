@@ -441,6 +441,30 @@ def test_correlation_is_matched_filter_and_sum(channels):
     assert masked.data[4, 3] == pytest.approx(image.data[4, 3], rel=1e-12)
 
 
+@pytest.mark.parametrize("lead", [0.0, -6.0, -6.4])
+def test_correlation_with_measured_pulses(lead):
+    """Up- and down-sweeps in turn, known by their samples alone: the matched filters' image, and that of the formulas."""
+    fs = 40e3
+    sweeps = [pysas.LFM(100e3, sign * 12e3, 2e-3, "gaussian", 2e-4) for sign in (1, -1)] * 4
+    tx = np.zeros((8, 3))
+    tx[:, 0] = 0.1 * np.arange(8)
+    # one echo a ping, written down by hand
+    tau = 2 * np.linalg.norm([0.4, 20.0, 0.0] - tx, axis=1) / 1500
+    t = 25e-3 + np.arange(240) / fs
+    data = np.array([p.waveform(t - d) * np.exp(-2j * np.pi * 100e3 * d) for p, d in zip(sweeps, tau, strict=True)])
+    raw = pysas.Echoes(data, fs=fs, fc=100e3, tx=tx, rx=tx, t0=25e-3, compressed=False)
+    grid = pysas.Grid.plane(np.linspace(0.3, 0.5, 5), np.linspace(19.9, 20.1, 5))
+    samples = [p.waveform(lead / fs + np.arange(100) / fs) for p in sweeps]
+    image = correlation(raw, grid, samples, lead / fs)
+    assert abs(image.data[2, 2] - 8) < 1e-9
+    assert pysas.metrics.relative_error(image, correlation(raw, grid, sweeps)) < 1e-9
+    compressed = pysas.compress(raw, pulse=samples, pulse_t0=lead / fs, threads=1)
+    assert pysas.metrics.relative_error(image, exact(compressed, grid)[0]) < 1e-9
+    single = raw.replace(data=data[::2], tx=tx[::2], rx=tx[::2], pulse=samples[0])
+    if lead == 0:
+        assert pysas.metrics.relative_error(correlation(single, grid), correlation(single, grid, sweeps[0])) < 1e-9
+
+
 # Arguments
 
 
@@ -465,6 +489,13 @@ def test_arguments_are_named():
         (lambda: chirp_scaling(raw.replace(fc=31e3)), ValueError, "demodulation at the pulse's centre"),
         (lambda: correlation(echoes, pysas.Grid.plane([0.0], [25.0])), ValueError, "compressed=True"),
         (lambda: correlation(raw, None), TypeError, "grid=NoneType"),
+        (lambda: correlation(raw.replace(pulse=None), pysas.Grid.plane([0.0], [25.0])), ValueError, "pulse=None"),
+        (lambda: correlation(raw, pysas.Grid.plane([0.0], [25.0]), [raw.pulse] * 2), ValueError, "2 pulses: expected one, or"),
+        (
+            lambda: correlation(raw, pysas.Grid.plane([0.0], [25.0]), np.full(3, np.nan)),
+            ValueError,
+            "of ping 0: expected finite",
+        ),
     ]
     for call, kind, text in cases:
         with pytest.raises(kind, match=text.replace("(", r"\(")):

@@ -1,1 +1,1 @@
-"""Signal processing of pings: matched filters, phase history to samples, what recordings look like."""
+"""Signal processing of pings: demodulation, matched filters, phase history to samples, what recordings look like."""
