@@ -19,6 +19,8 @@ from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.formats import files
 
+_LONGEST_LINE = 1 << 20
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Table:
@@ -123,14 +125,22 @@ def read_table(
 
 def _rows(name: str, lines: io.TextIOWrapper, delimiter: str) -> Iterator[tuple[int, list[str]]]:
     """Fields, stripped, with the number of their line."""
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    reader = csv.reader(_lines(lines), delimiter=delimiter, skipinitialspace=True)
     try:
         for fields in reader:
             stripped = [field.strip() for field in fields]
             if any(stripped) and not stripped[0].startswith("#"):
                 yield reader.line_num, stripped
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{name}, after line {reader.line_num}: expected lines of text in UTF-8: {error}") from None
+        raise ValueError(f"{name}, near line {reader.line_num}: expected lines of text in UTF-8: {error}") from None
+
+
+def _lines(lines: io.TextIOWrapper) -> Iterator[str]:
+    """Lines of a length that text has: one of gigabytes is not read to its end."""
+    while line := lines.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise csv.Error(f"a line of {_LONGEST_LINE} characters or more")
+        yield line
 
 
 def _header(name: str, first: tuple[int, list[str]] | None) -> list[str]:

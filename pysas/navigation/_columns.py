@@ -27,11 +27,13 @@ def column(
 ) -> FloatArray:
     """`value` in float64, finite, and not rounded to more than `finest` by the dtype it comes in."""
     array = _checks.array_like(name, value)
-    if array.dtype.kind == "f" and array.size and finest > 0:
+    if array.dtype.kind in "iuf" and array.size and finest > 0:
+        held = np.dtype(np.float64) if array.dtype.kind in "iu" or array.dtype.itemsize > 8 else array.dtype
         largest = np.max(np.abs(array[np.isfinite(array)]), initial=0)
-        step = float(np.spacing(largest.astype(array.dtype)))
+        step = float(np.spacing(largest.astype(held)))
         if step > finest:
-            raise ValueError(f"{name}: {array.dtype} resolves {largest:.10g} to {step:.2g}: expected {finest:.2g} or finer")
+            by = f"{array.dtype}{'' if array.dtype == held else f' in {held}'}"
+            raise ValueError(f"{name}: {by} resolves {largest:.10g} to {step:.2g}: expected {finest:.2g} or finer, in SI units")
     return _checks.reals(name, array, shapes, (label,))
 
 

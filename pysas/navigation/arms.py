@@ -1,10 +1,9 @@
 """Lever arms: poses at the pings' times -> where transmitter and receivers are, and how receivers move until echoes come.
 
-The pulse's centre is what places are told for. An echo that leaves while the vehicle moves has its phase from where the
-transmitter is at each instant of the pulse; to first order in the motion these balance about the pulse's centre of energy, and
-the compressed echo has there the phase of a pulse sent at that instant from that place. `compress` puts its peak at
-t = travel time for t counted from the leading edge, so places at leading edge + pulse_centre belong to `t0` counted from the
-leading edge, with nothing to correct.
+The pulse's centre is what places are told for: it leaves while the vehicle moves, and each part of it has its phase from where
+the transmitter is then. To first order in the motion these balance about one instant, `pulse_centre`, so that targets are found
+where they would be had all of the pulse left from there. `compress` puts an echo's peak at its travel time for t counted from
+the leading edge: places at leading edge + pulse_centre belong to `t0` counted from the leading edge, with nothing to correct.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import hilbert
 from scipy.spatial.transform import Rotation
 
 from pysas import _checks
@@ -25,6 +25,7 @@ from pysas.navigation.samples import Poses
 
 _LONGEST_ARM = 100.0  # m; longer ones are millimetres
 _NEAR_SHARE = float(np.sqrt(2) - 1)  # of the last travel time: before it receivers have hardly moved
+_MIDPOINTS = 8192  # of a pulse: its centre to 1e-7 of its length
 _LOOKS = 5  # instants of the record at which receivers are compared with their straight paths
 
 
@@ -78,15 +79,22 @@ class Geometry:
         )
 
 
-def pulse_centre(pulse: LFM | npt.ArrayLike, fs: float | None = None) -> float:
-    """Time from a pulse's leading edge to its centre of energy, s: sum t |p(t)|^2 / sum |p(t)|^2.
+@_checks.usual_errors
+def pulse_centre(pulse: LFM | npt.ArrayLike, fs: float | None = None, fc: float = 0.0) -> float:
+    """The instant of a pulse, s after its leading edge, that places are told for: sum t |f p|^2 / sum |f p|^2.
+
+    Each frequency f of a sweep leaves at its own time and shows a target moved along the track by the vehicle's way until then;
+    in an image these balance with weights of energy times f^2, as phases turn with f. For a flat LFM with b = bandwidth/fc it
+    is duration/2 (1 + b/(3 + b^2/4)).
 
     Parameters
     ----------
     pulse : LFM or (sample,)
-        A measured waveform is real or complex and begins at the leading edge, as `Echoes.pulse` does.
+        A measured waveform begins at the leading edge, as `Echoes.pulse` does: complex base-band about `fc`, or real pass-band.
     fs : float
-        Sample rate of a waveform, Hz. None for an LFM, whose centre is duration/2.
+        Sample rate of a waveform, Hz.
+    fc : float
+        Demodulation frequency of a complex waveform, Hz.
 
     Returns
     -------
@@ -95,20 +103,28 @@ def pulse_centre(pulse: LFM | npt.ArrayLike, fs: float | None = None) -> float:
     Raises
     ------
     ValueError, TypeError
-        A waveform that is not one row of finite samples of which one is not zero, or without fs.
+        A waveform that is not one row of finite samples of which two neighbours are not zero, or without fs.
     """
     if isinstance(pulse, LFM):
-        return pulse.duration / 2
+        start, stop = pulse.support
+        t = start + (np.arange(_MIDPOINTS) + 0.5) * ((stop - start) / _MIDPOINTS)
+        weight = (pulse.envelope(t) * (pulse.fc + pulse.rate * (t - pulse.duration / 2))) ** 2
+        return float(t @ weight / weight.sum())
     samples = _checks.array_like("pulse", pulse)
     if samples.ndim != 1 or samples.dtype.kind not in "iufc":
         raise ValueError(f"pulse: shape {samples.shape} of {samples.dtype}: expected one row of samples")
-    rate = _checks.number("fs", fs, positive=True)
-    level = np.abs(samples.astype(np.complex128))
-    peak = np.max(level, initial=0.0)
+    rate, carrier = _checks.number("fs", fs, positive=True), _checks.number("fc", fc, low=0.0)
+    if samples.dtype.kind != "c" and carrier != 0:
+        raise ValueError(f"fc={fc!r}: real samples: expected pass-band ones, which have none, or complex ones about fc")
+    peak = float(np.max(np.abs(samples.astype(np.complex128)), initial=0.0))
     if not np.isfinite(peak) or peak == 0:
-        raise ValueError(f"pulse: {level.size} samples, peak {peak:g}: expected finite samples of which one is not zero")
-    energy = (level / peak) ** 2
-    return float(np.arange(level.size) @ energy / energy.sum() / rate)
+        raise ValueError(f"pulse: {samples.size} samples, peak {peak:g}: expected finite samples of which some are not zero")
+    waveform = samples / peak if samples.dtype.kind == "c" else hilbert(samples / peak)
+    step = waveform[1:] * np.conj(waveform[:-1])  # from sample to sample: energy, and the turn that is the frequency
+    weight = np.abs(step) * (carrier + np.angle(step) * rate / (2 * np.pi)) ** 2
+    if not weight.sum() > 0:
+        raise ValueError(f"pulse: {samples.size} samples: expected neighbours that are not zero, and a frequency")
+    return float((np.arange(weight.size) + 0.5) @ weight / weight.sum() / rate)
 
 
 @_checks.usual_errors

@@ -248,7 +248,7 @@ class Poses:
         Notes
         -----
         Error of the cubic spline between samples h apart: 5/384 h^4 max |fourth derivative| (C. A. Hall and W. W. Meyer
-        1976), 0.2 mm for a heave of 1 m amplitude and 3 s period sampled at 5 Hz. O(samples + n log samples).
+        1976), 0.4 mm for a heave of 1 m amplitude and 3 s period sampled at 5 Hz. O(samples + n log samples).
         """
         when = column("time", time, [("n",)])
         self.require(when, when, lambda i: f"time: {when[i]:.6f} s at index {i}")
