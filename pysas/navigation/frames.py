@@ -126,7 +126,8 @@ class Frame:
     def __repr__(self) -> str:
         at = "local metres" if self.lat is None else f"latitude {self.lat:.8f}, longitude {self.lon:.8f} deg (WGS84)"
         off = "" if self.origin == (0.0, 0.0, 0.0) else " + ({:.3f}, {:.3f}, {:.3f}) m north, east, down".format(*self.origin)
-        return f"Frame(x along heading {np.degrees(self.heading):.3f} deg, y to starboard of it, z down; origin: {at}{off})"
+        heading = round(np.degrees(self.heading), 3) % 360
+        return f"Frame(x along heading {heading:.3f} deg, y to starboard of it, z down; origin: {at}{off})"
 
 
 @_checks.usual_errors

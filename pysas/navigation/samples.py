@@ -207,8 +207,8 @@ class Poses:
         Parameters
         ----------
         position : (n, 3)
-            In m: "NED": north, east, down; "ENU": east, north, up. Of axes that are not those of the compass: any right-handed
-            ones with z down or with z up, from whose x (for "ENU") or x (for "NED") yaw counts.
+            In m: "NED": north, east, down; "ENU": east, north, up. Axes need not be the compass's: any right-handed
+            x, y, z with z down, or with z up, do as well where yaw counts from their x.
         attitude : scipy.spatial.transform.Rotation of length n
             As `euler`, `quaternions` and `matrices` with the same `axes` make them.
         axes : {"NED", "ENU"}
