@@ -175,6 +175,13 @@ def test_the_mean_track_lies_along_x(heading: float, offset: float) -> None:
     assert line[1] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.parametrize("s", [[0, 10, 20, 40], [30, 0, 10, 20, 40], [40, 0, 39]])
+def test_the_mean_track_points_from_its_first_place_to_its_last(s: list[float]) -> None:
+    """Not as most of its way goes: samples may begin before a turn."""
+    frame = along_track(np.multiply.outer(np.array(s, float), [np.cos(2.0), np.sin(2.0), 0.0]))
+    assert frame.heading == pytest.approx(2.0 if s[-1] > s[0] else 2.0 + np.pi)
+
+
 def test_a_track_that_does_not_move_heads_north() -> None:
     assert along_track(np.ones((4, 3))).heading == 0.0
     frame = along_track(np.zeros((1, 3)), Frame(1.0, 50.0, 3.0))
@@ -219,7 +226,12 @@ TURN = np.eye(3)[None]
         (lambda: along_track(np.zeros((0, 3))), ValueError, "position: no rows"),
         (lambda: along_track(np.zeros((3, 3)), "north"), TypeError, "frame=str"),  # type: ignore[arg-type]
         (lambda: to_utm([50.0, 95.0], [1.0, 1.0], 31), ValueError, "lat: 95 at row 1"),
-        (lambda: to_utm(50.0, 30.0, 31), ValueError, "from the middle of zone 31"),
+        (lambda: to_utm(50.0, 80.0, 31), ValueError, "lon: 77 at row 0: expected -60 to 60 degrees from the middle of zone 31"),
+        (
+            lambda: to_utm([0.0, 0.0], [3.0, 8.0], 31),
+            ValueError,
+            "easting: 1057.* at row 1: expected 100000 to 900000 m in zone 31",
+        ),
         (lambda: to_utm(50.0, 3.0, 61), ValueError, "zone=61"),
         (lambda: from_utm(50.73, -1.41, 30), ValueError, "easting: 50.73 at row 0"),
         (lambda: from_utm([5e5], [5e7], 30, source="u.csv"), ValueError, "^u.csv: northing: 50000000 at row 0"),

@@ -165,16 +165,17 @@ def test_the_same_navigation_in_all_coordinates() -> None:
 
 
 def test_true_north_turns_with_the_meridians() -> None:
-    """10 km east of the origin at latitude 60 true north is convergence = 10 km/N tan(lat) = 0.155 degrees off the frame's."""
+    """10 km west of the frame's origin at latitude 60 true north lies east of its north by 10 km/N tan(lat) = 0.155 degrees."""
     lat, east = 60.0, 10e3
     a, b = 6378137.0, 6356752.3142
     normal = a / np.sqrt(1 - (1 - (b / a) ** 2) * np.sin(np.radians(lat)) ** 2)
     lon = np.degrees(east / (normal * np.cos(np.radians(lat))))
     level = euler(np.zeros(3), np.zeros(3), np.zeros(3))
-    poses = Poses.from_geodetic(np.arange(3.0), np.full(3, lat), np.full(3, lon), level, depth=np.zeros(3))
-    turn, _ = poses.frame.into(Frame(lat=lat, lon=0.0))
-    bow = turn @ poses.at([1.0])[1].apply([1, 0, 0])[0]
-    assert np.arctan2(bow[1], bow[0]) == pytest.approx(-east / normal * np.tan(np.radians(lat)), rel=1e-3)
+    time = np.array([0.0, 200.0, 400.0])
+    poses = Poses.from_geodetic(time, np.full(3, lat), lon * np.arange(3), level, depth=np.zeros(3))
+    bow = poses.at(time)[1].apply([1, 0, 0])
+    expected = east / normal * np.tan(np.radians(lat)) * np.array([1, 0, -1])
+    np.testing.assert_allclose(np.arctan2(bow[:, 1], bow[:, 0]), expected, rtol=1e-3, atol=1e-12)
 
 
 def test_attitudes_go_the_short_way_between_samples() -> None:

@@ -25,7 +25,8 @@ _ALPHA = (
 )
 _ECCENTRICITY = float(np.sqrt(ECCENTRICITY2))
 _STEPS = 12  # of fixed points that gain a factor 1/e^2 = 150 a step
-_WIDEST = 10.0  # deg from the zone's middle
+_EASTINGS = (100e3, 900e3)  # m
+_WIDEST = 60.0  # deg from the zone's middle; near poles eastings allow that many
 
 
 @_checks.usual_errors
@@ -37,7 +38,7 @@ def to_utm(lat: npt.ArrayLike, lon: npt.ArrayLike, zone: int, *, south: bool = F
     lat, lon : float or (n,)
         Degrees, north and east.
     zone : int
-        1 to 60; its middle lies at 6 zone - 183 degrees east, from which places may be 10 degrees away.
+        1 to 60; its middle lies at 6 zone - 183 degrees east. Places of a neighbouring zone do, to eastings of 100 and 900 km.
     south : bool
         Whether northings count from 10,000 km, as in zones of the southern hemisphere.
 
@@ -59,7 +60,9 @@ def to_utm(lat: npt.ArrayLike, lon: npt.ArrayLike, zone: int, *, south: bool = F
     conformal = np.sinh(np.arcsinh(np.tan(phi)) - _ECCENTRICITY * np.arctanh(_ECCENTRICITY * np.sin(phi)))
     sphere = np.arctan2(conformal, np.cos(lam)) + 1j * np.arcsinh(np.sin(lam) / np.hypot(conformal, np.cos(lam)))
     plane = _SCALE * _RADIUS * (sphere + _series(sphere))
-    return plane.imag + _FALSE_EASTING, plane.real + (_FALSE_NORTHING if south else 0.0)
+    easting, northing = plane.imag + _FALSE_EASTING, plane.real + (_FALSE_NORTHING if south else 0.0)
+    within("easting", np.atleast_1d(easting), *_EASTINGS, f"m in zone {zone}")
+    return easting, northing
 
 
 @_checks.usual_errors
@@ -90,7 +93,7 @@ def from_utm(
     shapes: list[tuple[int | str, ...]] = [(), ("n",)]
     east = column(named(source, "easting"), easting, shapes, finest=FINEST_PLACE)
     north = column(named(source, "northing"), northing, [east.shape], finest=FINEST_PLACE)
-    within(named(source, "easting"), np.atleast_1d(east), 100e3, 900e3, "m", " (UTM)")
+    within(named(source, "easting"), np.atleast_1d(east), *_EASTINGS, "m", " (UTM)")
     within(named(source, "northing"), np.atleast_1d(north), 0.0, 10000e3, "m", " (UTM)")
     from_equator, from_middle = north - (_FALSE_NORTHING if south else 0.0), east - _FALSE_EASTING
     plane: npt.NDArray[np.complex128] = np.asarray((from_equator + 1j * from_middle) / (_SCALE * _RADIUS))
