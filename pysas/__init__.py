@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as _numpy  # noqa: F401  by one thread, before names are asked for by several
 
 if TYPE_CHECKING:
-    from pysas import circular, comparison, metrics, plot, reference, simulation, tracks
+    from pysas import circular, comparison, metrics, navigation, plot, reference, simulation, tracks
     from pysas.engine import get_include, get_library, show_config
     from pysas.formats.io import load, save
+    from pysas.formats.tables import read_table
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
     from pysas.imaging.planner import plan
     from pysas.model.beam import Beam
@@ -30,14 +31,15 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
-    "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan",
-    "plot", "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics",
+    "navigation", "plan", "plot", "read_table", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
 _MODULES = {
     "engine": ("get_include", "get_library", "show_config"),
     "formats.io": ("load", "save"),
+    "formats.tables": ("read_table",),
     "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),
     "imaging.planner": ("plan",),
     "model.beam": ("Beam",),
