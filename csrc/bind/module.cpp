@@ -98,7 +98,7 @@ void translate(std::exception_ptr pointer) {
 PYBIND11_MODULE(_core, m) {
     m.doc() = "Compiled part of the engine.";
     py::register_exception_translator(&translate);
-    PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, axis, t0, kept, interval);
+    PYBIND11_NUMPY_DTYPE(Trace, tx, rx, velocity, boresight, axis, t0, c, first, last, kept, interval);
     PYBIND11_NUMPY_DTYPE(Beam, shape, half_angle, full_angle);
     PYBIND11_NUMPY_DTYPE(Model, c, fc, fs, rate, last, beam, near, run);
     bind_plans(m);

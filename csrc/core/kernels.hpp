@@ -78,6 +78,8 @@ struct Trace {
     double boresight[3];  // of length 1, or zeros
     double axis[3];       // along a fan's element, of length 1, or zeros
     double t0;            // time of sample 0 of the record, s
+    double c;             // speed of sound, m/s
+    double first, last;   // samples that were recorded: others count for nothing
     double kept;          // number of the first sample kept
     double interval;      // for Numba's kernels alone: the trace's first interval in a table of all
 };

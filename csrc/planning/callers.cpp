@@ -209,6 +209,8 @@ Survey survey_of(const pysas_survey& given, const double origin[3], bool single)
         }
         if (given.boresight && !(given.weights && given.weights[i] == 0)) aim(trace, given, ping);
         trace.t0 = given.ping_t0 ? given.ping_t0[ping] : given.t0;
+        trace.c = given.c;
+        trace.last = out.model.last;
         out.traces.push_back(trace);
         out.weights.emplace_back(given.weights ? given.weights[i] : 1.0);
     }

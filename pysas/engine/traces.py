@@ -28,6 +28,9 @@ TRACE = np.dtype(
         ("boresight", *PLACE),  # of length 1, or zeros
         ("axis", *PLACE),  # along a fan's element, of length 1, or zeros
         ("t0", np.float64),  # time of sample 0 of the record, s
+        ("c", np.float64),  # speed of sound, m/s
+        ("first", np.float64),  # samples that were recorded: others count for nothing
+        ("last", np.float64),
         ("kept", np.float64),  # number of the first sample kept
         ("interval", np.float64),  # for Numba's kernels alone: the trace's first interval in a table of all
     ]

@@ -58,6 +58,7 @@ class Scene:
             if not self.all_lit:
                 self.beam = record(BEAM, shape=FAN if fan else CONE, half_angle=half + edge, full_angle=full)
         trace["t0"] = np.repeat(echoes.start_time, channels)
+        trace["c"], trace["first"], trace["last"] = echoes.c, 0, echoes.n_sample - 1
         self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
         self.lattice: Any = None  # weights that change from pixel to pixel, see view_angles.py
