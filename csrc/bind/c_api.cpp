@@ -26,7 +26,8 @@ namespace {
 
 // Sizes that callers may have: the first options had no method, the first surveys cones without taper alone.
 constexpr std::size_t options_sizes[] = {offsetof(pysas_options, method), sizeof(pysas_options)};
-constexpr std::size_t survey_sizes[] = {offsetof(pysas_survey, beam_shape), sizeof(pysas_survey)};
+constexpr std::size_t survey_sizes[] = {offsetof(pysas_survey, beam_shape), offsetof(pysas_survey, ping_c),
+                                        sizeof(pysas_survey)};
 
 // What an older caller's struct does not have is zero; false: no size that this library knows.
 template <typename Struct, std::size_t N>

@@ -286,7 +286,6 @@ struct Stack {
     double axis[3], height[max_planes];
     int count, number;
     const Trace* own;  // or null
-    double c;
 };
 
 // Pixels read from a sub-image and added to (rows, block) sums: lines on its plane, or points near it, `apart` points

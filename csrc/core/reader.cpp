@@ -33,8 +33,8 @@ void LowPassed<Real>::take(const Batch<Sample>& batch, std::int64_t first, std::
         const std::int64_t i = first + lane;
         if (batch.weights[i] == 0.0) continue;  // or it may hold anything
         const std::int64_t start = reader_.wide ? 0 : batch.start[i];
-        const std::int64_t from = std::max<std::int64_t>(start, 0),
-                           last = std::min(start + length_, batch.data.shape[2]);
+        const Recorded recorded(batch.traces[i]);
+        const std::int64_t from = std::max(start, recorded.begin), last = std::min(start + length_, recorded.end);
         const Sample* trace = &batch.data(batch.order[i] / channels, batch.order[i] % channels, 0);
         const Factor by(batch.weights[i], batch.scale);
         for (std::int64_t n = from; n < last; ++n) {
@@ -102,6 +102,7 @@ void LowPassed<Real>::fill(const Kernels& kernels, const Batch<Sample>& batch, T
             const Batch<Complex> lowered{{traces, {count, 1, 2 * n}, {2 * n, 2 * n, 1}},
                                          order.data(),
                                          start.data(),
+                                         nullptr,
                                          nullptr,
                                          count,
                                          reader_.samples(),
@@ -176,7 +177,8 @@ void Tables<Real>::fill(Execution& run, const View<const Sample, 3>& data, const
         start_.push_back(static_cast<std::int64_t>(traces_.back().kept));
     }
     if (recipe_.lattice) weigh(order, count);
-    const Batch<Sample> batch{data, order, start_.data(), weights_.data(), count, recipe_.reader.samples(), run.scale};
+    const Batch<Sample> batch{
+        data, order, start_.data(), weights_.data(), traces_.data(), count, recipe_.reader.samples(), run.scale};
     const std::int64_t stride = terms_.plane_stride;
     const Tick poll = run.progress.poll();
     if constexpr (sizeof(Real) == 4) {

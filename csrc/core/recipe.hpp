@@ -16,6 +16,15 @@
 
 namespace pysas {
 
+// Samples begin to end - 1 of those that a trace recorded: others may hold anything.
+struct Recorded {
+    std::int64_t begin, end;
+
+    explicit Recorded(const Trace& trace)
+        : begin(static_cast<std::int64_t>(trace.first)), end(static_cast<std::int64_t>(trace.last) + 1) {}
+    Recorded(std::int64_t begin, std::int64_t end) : begin(begin), end(end) {}
+};
+
 // How traces become tables: by `filter`, of samples, or of traces low-passed by W at twice the sample rate.
 struct Reader {
     // What of a trace is transformed.

@@ -78,8 +78,9 @@ void prepare(const Kernels& kernels, const Batch<Sample>& batch, const Filter& f
                 std::fill(samples.begin(), samples.end(), Real(0));
                 const std::int64_t start = batch.start[i];
                 // all that the record has of what the taps reach
-                const std::int64_t from = std::max<std::int64_t>(start - before, 0);
-                const std::int64_t to = std::min(start + batch.length + filter.taps, n_sample);
+                const Recorded recorded = batch.traces ? Recorded(batch.traces[i]) : Recorded(0, n_sample);
+                const std::int64_t from = std::max(start - before, recorded.begin);
+                const std::int64_t to = std::min(start + batch.length + filter.taps, recorded.end);
                 const Sample* trace = &batch.data(batch.order[i] / channels, batch.order[i] % channels, 0);
                 const std::int64_t apart = batch.data.stride[2];
                 const std::complex<double> weight = batch.weights ? batch.weights[i] : std::complex<double>(1.0);
@@ -228,8 +229,8 @@ Real largest(const Real* x, std::int64_t count) {
 }
 
 template <typename Sample>
-void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const std::int64_t* end, double* out,
-           int threads, const Tick& tick) {
+void peaks(const View<const Sample, 3>& data, const Trace* traces, const std::int64_t* begin, const std::int64_t* end,
+           double* out, int threads, const Tick& tick) {
     using value = typename Sample::value_type;
     constexpr std::int64_t at_once = 256;  // samples copied where they do not lie side by side
     run(
@@ -253,8 +254,9 @@ void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const s
                     return found;
                 };
                 const value found = most(begin[flat], end[flat]);
-                const bool finite = std::isfinite(found) && std::isfinite(most(0, begin[flat])) &&
-                                    std::isfinite(most(std::max(begin[flat], end[flat]), data.shape[2]));
+                const Recorded recorded(traces[flat]);
+                const bool finite = std::isfinite(found) && std::isfinite(most(recorded.begin, begin[flat])) &&
+                                    std::isfinite(most(std::max(begin[flat], end[flat]), recorded.end));
                 out[flat] = finite ? static_cast<double>(found) : HUGE_VAL;
             }
         },
@@ -264,16 +266,17 @@ void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const s
 template <typename Sample>
 void mean_squares(const View<const Sample, 3>& data, const Places& places, double scale, double* out, int threads,
                   const Tick& tick) {
-    const std::int64_t channels = data.shape[1], last = data.shape[2] - 1;
+    const std::int64_t channels = data.shape[1], all = data.shape[2];
     const double inverse = std::min(1 / scale, std::numeric_limits<double>::max());  // one over a subnormal is infinite
-    const std::int64_t at_once = std::max<std::int64_t>(1, 16384 / std::min(2 * places.reach + 1, last + 1));
+    const std::int64_t at_once = std::max<std::int64_t>(1, 16384 / std::min(2 * places.reach + 1, all));
     run((places.count + at_once - 1) / at_once, threads,
         [&](std::int64_t task) {
             for (std::int64_t i = task * at_once; i < std::min(places.count, (task + 1) * at_once); ++i) {
                 const std::int64_t ping = places.trace[i] / channels, channel = places.trace[i] % channels;
                 const Sample* trace = &data(ping, channel, 0);
-                const std::int64_t from = std::max<std::int64_t>(places.place[i] - places.reach, 0);
-                const std::int64_t to = std::min(places.place[i] + places.reach, last);
+                const Recorded recorded(places.traces[places.trace[i]]);
+                const std::int64_t from = std::max(places.place[i] - places.reach, recorded.begin);
+                const std::int64_t to = std::min(places.place[i] + places.reach, recorded.end - 1);
                 double sum[4] = {0, 0, 0, 0};  // one after another each addition would wait for the one before
                 for (std::int64_t n = from; n <= to; ++n) {
                     const Sample s = trace[n * data.stride[2]];
@@ -296,8 +299,10 @@ template std::int64_t add(const Kernels&, const Terms<float>&, const Raster&, co
 template std::int64_t add(const Kernels&, const Terms<float>&, const Raster&, const View<Double, 2>&, int, const Tick&);
 template std::int64_t add(const Kernels&, const Terms<double>&, const Raster&, const View<Double, 2>&, int,
                           const Tick&);
-template void peaks(const View<const Single, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
-template void peaks(const View<const Double, 3>&, const std::int64_t*, const std::int64_t*, double*, int, const Tick&);
+template void peaks(const View<const Single, 3>&, const Trace*, const std::int64_t*, const std::int64_t*, double*, int,
+                    const Tick&);
+template void peaks(const View<const Double, 3>&, const Trace*, const std::int64_t*, const std::int64_t*, double*, int,
+                    const Tick&);
 template void mean_squares(const View<const Single, 3>&, const Places&, double, double*, int, const Tick&);
 template void mean_squares(const View<const Double, 3>&, const Places&, double, double*, int, const Tick&);
 

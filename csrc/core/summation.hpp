@@ -10,6 +10,7 @@
 
 #include "core/filters.hpp"
 #include "core/kernels.hpp"
+#include "core/recipe.hpp"
 #include "core/threads.hpp"
 #include "core/views.hpp"
 
@@ -22,6 +23,7 @@ struct Batch {
     const std::int64_t* order;            // (count) flat ping-channel numbers
     const std::int64_t* start;            // (count) first sample kept; those before the record's first are zero
     const std::complex<double>* weights;  // (count), or null
+    const Trace* traces;                  // (count), which say what was recorded, or null: all
     std::int64_t count;
     std::int64_t length;  // samples kept
     double scale;         // samples are divided by it, a power of two
@@ -110,19 +112,21 @@ template <typename Real, typename Pixel>
 std::int64_t add(const Kernels& kernels, const Terms<Real>& terms, const Raster& raster, const View<Pixel, 2>& image,
                  int threads, const Tick& tick);
 
-// Largest |real| or |imaginary| part of samples begin to end - 1, which are in the record, of each trace, (ping,
-// channel); not finite where the trace is not, within or without them.
+// Largest |real| or |imaginary| part of samples begin to end - 1, which were recorded, of each trace, (ping, channel);
+// not finite where what the trace recorded is not, within or without them.
 template <typename Sample>
-void peaks(const View<const Sample, 3>& data, const std::int64_t* begin, const std::int64_t* end, double* out,
-           int threads, const Tick& tick);
+void peaks(const View<const Sample, 3>& data, const Trace* traces, const std::int64_t* begin, const std::int64_t* end,
+           double* out, int threads, const Tick& tick);
 
 // Places in traces: (count) flat ping-channel and sample numbers, and samples to each side of them.
 struct Places {
     const std::int64_t *trace, *place;
     std::int64_t count, reach;
+    const Trace* traces;  // all
 };
 
-// Mean square of the 2 reach + 1 samples about each place, (count), in units of scale^2; zero beyond the record.
+// Mean square of the 2 reach + 1 samples about each place, (count), in units of scale^2; zero where nothing was
+// recorded.
 template <typename Sample>
 void mean_squares(const View<const Sample, 3>& data, const Places& places, double scale, double* out, int threads,
                   const Tick& tick);

@@ -248,7 +248,6 @@ class Walk {
         stack.count = static_cast<int>(section.heights.size());
         stack.number = section.number;
         stack.own = tree.own < 0 ? nullptr : &run_.recipe.traces[static_cast<std::size_t>(tree.own)];
-        stack.c = run_.recipe.model.c;
         return stack;
     }
 

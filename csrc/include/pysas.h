@@ -87,6 +87,9 @@ typedef struct pysas_survey {
                         * not 0, at least 1e-5 radians of it */
     const double* beam_axis; /* (n_ping, 3) directions along a fan's element, of any length but 0, or NULL: boresight x
                               * vertical (z) */
+    const double* ping_c; /* (n_ping) speeds of sound, or NULL, also for callers whose struct ends above: c for all */
+    const int64_t* valid; /* (n_ping, n_channel, 2) first and last sample that were recorded, the last one less than
+                           * the first where none was, or NULL: all. Others count for nothing, whatever they hold */
 } pysas_survey;
 
 typedef struct pysas_grid {

@@ -65,10 +65,10 @@ inline double sphere(const double* points, int count, double centre[3]) {
 // Whether distances out and home that sum to `least` to `most` lie outside, inside or across the record's window. Of
 // rounding, one part in 1e9 must never decide what the exact path should.
 inline Reach window(const Trace& g, const Model& model, double speed, double least, double most) {
-    const double low = (least / (model.c + speed) * (1 - 1e-9) - g.t0) * model.fs;
-    const double high = (most / (model.c - speed) * (1 + 1e-9) - g.t0) * model.fs;
-    if (high < -edge_samples || low > model.last + edge_samples) return Reach::outside;
-    return low >= edge_margin && high <= model.last - edge_margin ? Reach::inside : Reach::across;
+    const double low = (least / (g.c + speed) * (1 - 1e-9) - g.t0) * model.fs;
+    const double high = (most / (g.c - speed) * (1 + 1e-9) - g.t0) * model.fs;
+    if (high < g.first - edge_samples || low > g.last + edge_samples) return Reach::outside;
+    return low >= g.first + edge_margin && high <= g.last - edge_margin ? Reach::inside : Reach::across;
 }
 
 // Lines of a tile from end to end.

@@ -36,11 +36,11 @@ std::int64_t locate(const TileJob<typename V::real>& tile, std::int64_t number, 
         if (heights.z) x[2][m] = heights(r, pixel);
     }
     W::vec counted = W::set(0.0);
-    const W::vec half = W::set(0.5), first = W::set(0.0), last = W::set(model.last);
-    const W::vec before = W::set(-edge_samples), behind = W::set(model.last + edge_samples);
+    const W::vec half = W::set(0.5), first = W::set(trace.first), last = W::set(trace.last);
+    const W::vec before = W::set(trace.first - edge_samples), behind = W::set(trace.last + edge_samples);
     for (int m = begin; m < padded; m += W::n) {
         const W::vec px = W::load(x[0] + m), py = W::load(x[1] + m), pz = W::load(x[2] + m);
-        const W::vec tau = delay<K>(trace, model.c, px, py, pz);
+        const W::vec tau = delay<K>(trace, trace.c, px, py, pz);
         const W::vec index = W::mul(W::sub(tau, W::set(trace.t0)), W::set(model.fs));
         W::vec counts = W::mul(W::one_where_le(before, index), W::one_where_le(index, behind));
         W::vec weight = W::set(1.0);

@@ -97,7 +97,7 @@ double polynomials(const Terms<typename V::real>& job, const Trace& trace, const
     for (int r = 0; r < rows; r += D::n) {
         const auto take = [&](const WaysOut<N>& way, double height, vec(&to)[N]) {
             for (int j = 0; j < N; ++j)
-                to[j] = delay_from<K>(trace, job.model.c, D::load(way.length[j] + r), D::load(way.square[j] + r),
+                to[j] = delay_from<K>(trace, trace.c, D::load(way.length[j] + r), D::load(way.square[j] + r),
                                       D::load(at.x[j] + r), D::load(at.y[j] + r),
                                       D::add(D::load(at.z[j] + r), D::set(height)));
         };

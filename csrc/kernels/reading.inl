@@ -119,13 +119,14 @@ void read_taps_lines(ReadJob& job) {
     }
 }
 
-// Turns by which the delay of a stack's own trace at points is more than at the places where a plane has them.
-inline Double::vec turned_off(const Stack& stack, const Tree& tree, Double::vec x, Double::vec y, Double::vec z,
-                              Double::vec plane_x, Double::vec plane_y, Double::vec plane_z) {
+// Metres of slant range by which a stack's own trace is farther from points than from the places where a plane has
+// them.
+inline Double::vec farther(const Stack& stack, Double::vec x, Double::vec y, Double::vec z, Double::vec plane_x,
+                           Double::vec plane_y, Double::vec plane_z) {
     using D = Double;
-    const auto later = D::sub(delay<Kind::moving>(*stack.own, stack.c, x, y, z),
-                              delay<Kind::moving>(*stack.own, stack.c, plane_x, plane_y, plane_z));
-    return D::mul(later, D::set(tree.wave * stack.c / 2));
+    const auto later = D::sub(delay<Kind::moving>(*stack.own, stack.own->c, x, y, z),
+                              delay<Kind::moving>(*stack.own, stack.own->c, plane_x, plane_y, plane_z));
+    return D::mul(later, D::set(stack.own->c / 2));
 }
 
 // The same of points near the sub-image's plane.
@@ -201,10 +202,10 @@ void read_taps_points(ReadJob& job) {
                     return D::fma(along, D::set(a), D::fma(off, D::set(b), D::set(at)));
                 };
                 const auto more =
-                    turned_off(stack, tree, D::add(dx, D::set(image.centre[0])), D::add(dy, D::set(image.centre[1])),
-                               D::add(dz, D::set(image.centre[2])), there(image.centre[0], ax, -ay),
-                               there(image.centre[1], ay, ax), D::set(image.plane));
-                range = D::fma(more, D::set(1 / tree.wave), range);
+                    farther(stack, D::add(dx, D::set(image.centre[0])), D::add(dy, D::set(image.centre[1])),
+                            D::add(dz, D::set(image.centre[2])), there(image.centre[0], ax, -ay),
+                            there(image.centre[1], ay, ax), D::set(image.plane));
+                range = D::add(more, range);
             }
             const auto turns = D::mul(range, D::set(tree.wave));
             const auto node = D::fma(range, D::set(1 / image.step), D::set(-static_cast<double>(image.i0)));

@@ -59,17 +59,14 @@ struct Turning {
             const auto side = D::fma(dy, D::set(ax), D::mul(dx, D::set(-ay)));
             const auto right = D::one_where_le(side, D::set(0.0));
             const auto off = D::mul(D::root(D::max(rest, D::set(1e-12))), D::sub(D::set(1.0), D::add(right, right)));
-            D::store(later + i, turned_off(*job.stack, *job.tree, x, y, z,
-                                           D::fma(along, D::set(ax), D::fma(off, D::set(-ay), D::set(image.centre[0]))),
-                                           D::fma(along, D::set(ay), D::fma(off, D::set(ax), D::set(image.centre[1]))),
-                                           D::set(image.plane)));
+            D::store(later + i, farther(*job.stack, x, y, z,
+                                        D::fma(along, D::set(ax), D::fma(off, D::set(-ay), D::set(image.centre[0]))),
+                                        D::fma(along, D::set(ay), D::fma(off, D::set(ax), D::set(image.centre[1]))),
+                                        D::set(image.plane)));
         }
         double along[3][3];
         for (int k = 0; k < 3; ++k) fit(later[3 * k], later[3 * k + 1], later[3 * k + 2], along[k]);
         for (int q = 0; q < 3; ++q) fit(along[0][q], along[1][q], along[2][q], power[q]);
-        for (auto& of : power) {
-            for (double& p : of) p /= job.tree->wave;
-        }
     }
 
     static void fit(double first, double middle, double last, double (&out)[3]) {

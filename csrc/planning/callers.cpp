@@ -113,10 +113,17 @@ void check(const pysas_survey& survey, const pysas_grid& grid, const pysas_optio
     if (!(survey.bandwidth >= 0 && survey.bandwidth <= survey.fs / 1.1 * (1 + 1e-9)))
         refuse("bandwidth: above fs / 1.1");
     check_beam(survey);
+    for (std::int64_t i = 0; survey.ping_c && i < survey.n_ping; ++i) {
+        if (!(survey.ping_c[i] > 1e-9 && survey.ping_c[i] <= 1e15)) refuse("ping_c: must be positive and finite");
+    }
+    for (std::int64_t i = 0; survey.valid && i < traces; ++i) {
+        const std::int64_t first = survey.valid[2 * i], last = survey.valid[2 * i + 1];
+        if (!(first >= 0 && first <= survey.n_sample && last >= first - 1 && last < survey.n_sample))
+            refuse("valid: beyond the record, or the last more than one before the first");
+    }
     for (std::int64_t i = 0; survey.velocity && i < traces; ++i) {
-        const double zero[3] = {0, 0, 0};
-        if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * survey.c))
-            refuse("velocity: above half the speed of sound");
+        const double zero[3] = {0, 0, 0}, c = survey.ping_c ? survey.ping_c[i / survey.n_channel] : survey.c;
+        if (!(distance(survey.velocity + 3 * i, zero) < 0.5 * c)) refuse("velocity: above half the speed of sound");
     }
     for (const double* vector : {grid.first, grid.along, grid.down}) finite(vector, 3, "grid");
     finite(grid.points, 3 * grid.height * grid.width, "points");
@@ -188,7 +195,8 @@ Survey survey_of(const pysas_survey& given, const double origin[3], bool single)
     out.band = bandwidth / 2 / given.fs;
     out.single = single;
     out.channels = given.n_channel;
-    out.model.c = given.c;
+    // wave numbers of the slowest ping are the largest
+    out.model.c = given.ping_c ? *std::min_element(given.ping_c, given.ping_c + given.n_ping) : given.c;
     out.model.fc = given.fc;
     out.model.fs = given.fs;
     out.model.last = static_cast<double>(given.n_sample - 1);
@@ -209,8 +217,9 @@ Survey survey_of(const pysas_survey& given, const double origin[3], bool single)
         }
         if (given.boresight && !(given.weights && given.weights[i] == 0)) aim(trace, given, ping);
         trace.t0 = given.ping_t0 ? given.ping_t0[ping] : given.t0;
-        trace.c = given.c;
-        trace.last = out.model.last;
+        trace.c = given.ping_c ? given.ping_c[ping] : given.c;
+        trace.first = given.valid ? static_cast<double>(given.valid[2 * i]) : 0;
+        trace.last = given.valid ? static_cast<double>(given.valid[2 * i + 1]) : out.model.last;
         out.traces.push_back(trace);
         out.weights.emplace_back(given.weights ? given.weights[i] : 1.0);
     }

@@ -40,7 +40,7 @@ class Records {
         Point low[2], high[2];
         for (const std::int64_t i : traces) {
             const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
-            const One one{{point(trace.tx), point(trace.rx)}, length(point(trace.velocity)), trace.t0};
+            const One one{{point(trace.tx), point(trace.rx)}, length(point(trace.velocity)), trace};
             for (int k = 0; k < 2; ++k) {
                 const Point& p = one.sensor[k];
                 const bool fresh = all_.empty();
@@ -48,9 +48,15 @@ class Records {
                 high[k] =
                     fresh ? p : Point{std::max(high[k].x, p.x), std::max(high[k].y, p.y), std::max(high[k].z, p.z)};
             }
-            soonest_ = std::min(soonest_, one.t0);
-            latest_ = std::max(latest_, one.t0);
+            soonest_ = std::min(soonest_, trace.t0);
+            latest_ = std::max(latest_, trace.t0);
             fastest_ = std::max(fastest_, one.speed);
+            slow_ = std::min(slow_, trace.c);
+            fast_ = std::max(fast_, trace.c);
+            for (int k = 0; k < 2; ++k) {
+                first_[k] = k ? std::max(first_[k], trace.first) : std::min(first_[k], trace.first);
+                last_[k] = k ? std::max(last_[k], trace.last) : std::min(last_[k], trace.last);
+            }
             all_.push_back(one);
         }
         for (int k = 0; k < 2; ++k) {
@@ -70,19 +76,20 @@ class Records {
     State operator()(const Point& middle, double radius, double more, bool asked) const {
         const double path = length(middle - middle_[0]) + length(middle - middle_[1]);
         const double spread = 2 * radius + more;
-        const double earliest = ((path - spread - about_) / (model_.c + fastest_) - latest_) * model_.fs;
-        const double latest = ((path + spread + about_) / (model_.c - fastest_) - soonest_) * model_.fs;
-        if (earliest >= 0 && latest <= model_.last) return {true, true};
-        if (!(latest >= -edge_samples && earliest <= model_.last + edge_samples)) return {false, false};
+        const double earliest = ((path - spread - about_) / (fast_ + fastest_) - latest_) * model_.fs;
+        const double latest = ((path + spread + about_) / (slow_ - fastest_) - soonest_) * model_.fs;
+        if (earliest >= first_[1] && latest <= last_[0]) return {true, true};
+        if (!(latest >= first_[0] - edge_samples && earliest <= last_[1] + edge_samples)) return {false, false};
         State state{asked, false};
         for (const auto* traces : {&some_, &all_}) {
             for (const One& one : *traces) {
                 if (state.heard && !state.inside) return state;
                 const double way = length(middle - one.sensor[0]) + length(middle - one.sensor[1]);
-                const double low = ((way - spread) / (model_.c + one.speed) - one.t0) * model_.fs;
-                const double high = ((way + spread) / (model_.c - one.speed) - one.t0) * model_.fs;
-                state.inside = state.inside && low >= 0 && high <= model_.last;
-                state.heard = state.heard || (high >= -edge_samples && low <= model_.last + edge_samples);
+                const Trace& g = one.trace;
+                const double low = ((way - spread) / (g.c + one.speed) - g.t0) * model_.fs;
+                const double high = ((way + spread) / (g.c - one.speed) - g.t0) * model_.fs;
+                state.inside = state.inside && low >= g.first && high <= g.last;
+                state.heard = state.heard || (high >= g.first - edge_samples && low <= g.last + edge_samples);
             }
         }
         return {state.inside && state.heard, state.heard};
@@ -91,12 +98,14 @@ class Records {
   private:
     struct One {
         Point sensor[2];
-        double speed, t0;
+        double speed;
+        const Trace& trace;
     };
     Model model_;
     std::vector<One> all_, some_;
     Point middle_[2];
-    double about_ = 0, soonest_ = HUGE_VAL, latest_ = -HUGE_VAL, fastest_ = 0;
+    double about_ = 0, soonest_ = HUGE_VAL, latest_ = -HUGE_VAL, fastest_ = 0, slow_ = HUGE_VAL, fast_ = 0;
+    double first_[2] = {HUGE_VAL, -HUGE_VAL}, last_[2] = {HUGE_VAL, -HUGE_VAL};  // least and largest of all
 };
 
 // How a group's transmitters light pixels.

@@ -284,10 +284,10 @@ struct ForestMaker {
                 const Trace& trace = scene.survey.traces[number];
                 const double apart = length(point(trace.tx) - centre) + length(point(trace.rx) - centre);
                 const double speed = length(point(trace.velocity));
-                const double begin = std::max(2 * low - apart, 0.0) / (model.c + speed) - trace.t0;
-                const double end = (2 * high + apart) / (model.c - speed) - trace.t0;
-                const double from = std::clamp(std::floor(begin * model.fs), 0.0, model.last),
-                             to = std::clamp(std::ceil(end * model.fs), 0.0, model.last);
+                const double begin = std::max(2 * low - apart, 0.0) / (trace.c + speed) - trace.t0;
+                const double end = (2 * high + apart) / (trace.c - speed) - trace.t0;
+                const double from = std::clamp(std::floor(begin * model.fs), trace.first, trace.last),
+                             to = std::clamp(std::ceil(end * model.fs), trace.first, trace.last);
                 out.first[number] = std::min(out.first[number], static_cast<std::int64_t>(from));
                 out.last[number] = std::max(out.last[number], static_cast<std::int64_t>(to));
             }

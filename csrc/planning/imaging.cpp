@@ -50,16 +50,16 @@ struct Exponents {
 // Largest parts of what tables read of each trace; not finite where the trace is not.
 template <typename Sample>
 std::vector<double> peaks_of(const Plan& plan, const View<const Sample, 3>& data, const Tick& tick) {
-    const std::int64_t n = plan.scene->samples();
     const auto count = static_cast<std::size_t>(plan.scene->traces());
     std::vector<std::int64_t> begin(count), end(count);
     for (std::size_t i = 0; i < count; ++i) {
         const std::int64_t start = plan.start(i), reach = plan.settings.filter.taps;
-        begin[i] = std::clamp<std::int64_t>(start - reach, 0, n);
-        end[i] = std::clamp<std::int64_t>(start + plan.settings.length + reach, begin[i], n);
+        const Recorded recorded(plan.scene->survey.traces[i]);
+        begin[i] = std::clamp(start - reach, recorded.begin, recorded.end);
+        end[i] = std::clamp(start + plan.settings.length + reach, begin[i], recorded.end);
     }
     std::vector<double> out(count);
-    peaks(data, begin.data(), end.data(), out.data(), plan.wish.threads, tick);
+    peaks(data, plan.scene->survey.traces.data(), begin.data(), end.data(), out.data(), plan.wish.threads, tick);
     return out;
 }
 
@@ -170,12 +170,15 @@ Verdict Imaging::hold(const View<const Sample, 3>& data, const std::uint8_t* use
     const std::int64_t channels = data.shape[1], samples = data.shape[2];
     const auto squares = [&](const Numbers& trace, const Numbers& place, std::int64_t reach, double unit) {
         std::vector<double> out(trace.size());
-        const Places places{trace.data(), place.data(), static_cast<std::int64_t>(trace.size()), reach};
+        const Places places{trace.data(), place.data(), static_cast<std::int64_t>(trace.size()), reach,
+                            plan.scene->survey.traces.data()};
         mean_squares(data, places, unit, out.data(), plan.wish.threads, poll);
         return out;
     };
     const auto record = [&](std::int64_t trace, std::complex<double>* out) {
-        for (std::int64_t n = 0; n < samples; ++n)
+        const Recorded recorded(plan.scene->survey.traces[static_cast<std::size_t>(trace)]);
+        std::fill_n(out, samples, 0.0);
+        for (std::int64_t n = recorded.begin; n < recorded.end; ++n)
             out[n] = std::complex<double>(data(trace / channels, trace % channels, n));
     };
     return hold_against(plan, *terms_, {squares, record, used, scale, poll});

@@ -213,6 +213,7 @@ class Look {
     }
 
   private:
+    const Trace& trace_of(std::int64_t i) const { return scene_.survey.traces[static_cast<std::size_t>(i)]; }
     double band() const { return scene_.survey.band; }
     double error(const char* name) const { return of(plan_.settings.errors, name); }
 
@@ -246,7 +247,11 @@ class Look {
         }
         for (int side = 0; side < 2; ++side) {
             ends_[side].assign(static_cast<std::size_t>(scene_.traces()), 0);
-            const Numbers places(used_.size(), side ? scene_.samples() - 1 : 0);
+            Numbers places;
+            for (const std::int64_t i : used_) {
+                const Recorded recorded(trace_of(i));
+                places.push_back(side ? recorded.end - 1 : recorded.begin);
+            }
             const auto found = data_.mean_squares(used_, places, end_samples, unit_);
             for (std::size_t i = 0; i < used_.size(); ++i) {
                 const auto at = static_cast<std::size_t>(used_[i]);
@@ -260,7 +265,8 @@ class Look {
 
     double end(int side, std::size_t term) const { return ends_[side][static_cast<std::size_t>(trace_[term])]; }
     double distance(int side, std::size_t term) const {
-        return static_cast<double>(side ? scene_.samples() - 1 - place_[term] : place_[term]);
+        const Recorded recorded(trace_of(trace_[term]));
+        return static_cast<double>(side ? recorded.end - 1 - place_[term] : place_[term] - recorded.begin);
     }
 
     // Samples to each side of a term's that the nodes read for it hold.
@@ -357,7 +363,8 @@ class Look {
         const Settings& s = plan.settings;
         if (!s.taper) return true;
         const std::int64_t start = scene_.first[static_cast<std::size_t>(trace)] - 1 - s.margin;
-        return side ? start + s.length - s.taper >= scene_.samples() : start + s.taper <= 0;
+        const Recorded recorded(trace_of(trace));
+        return side ? start + s.length - s.taper >= recorded.end : start + s.taper <= recorded.begin;
     }
 
     // What transforms round.

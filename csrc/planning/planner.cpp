@@ -31,9 +31,10 @@ constexpr int most_planes = 6;   // that pixels off them are read from
 constexpr double share_relief = 0.12, share_lines = 0.08;
 // wavelengths: beyond it sub-images have more nodes than memory holds, and double loses 1e-5 anyway
 constexpr double farthest = 1e9;
-constexpr double tree_tol = 3e-5;  // below it float sub-images would round too much
-constexpr double spare = 1.05;     // sampling beyond the band's own limit, which a short group's band overlaps a little
-constexpr double finest = 8;       // nodes per sample, at most
+constexpr double most_speeds = 1.1;  // of sound, the largest to the least: nodes lie as the least asks
+constexpr double tree_tol = 3e-5;    // below it float sub-images would round too much
+constexpr double spare = 1.05;  // sampling beyond the band's own limit, which a short group's band overlaps a little
+constexpr double finest = 8;    // nodes per sample, at most
 constexpr double longer_groups = 1.0 / 8;  // of a layout's groups: shorter ones are not tried
 constexpr std::size_t looked_at = 4;       // layouts
 constexpr char longer[] = "a tree would take longer";
@@ -226,6 +227,9 @@ class Planner {
         const Model& model = s_.survey.model;
         if (wish_.budget < tree_tol * (1 - 1e-9)) return "tol below " + number(tree_tol, 6);
         if (s_.farthest > farthest * model.c / model.fc) return "range beyond " + number(farthest, 6) + " wavelengths";
+        const auto [slow, fast] = std::minmax_element(s_.survey.traces.begin(), s_.survey.traces.end(),
+                                                      [](const Trace& a, const Trace& b) { return a.c < b.c; });
+        if (fast->c > most_speeds * slow->c) return "speeds of sound that differ by more than a tenth";
         if (s_.audible == 0) return "the grid lies outside the recorded window";
         // reads at unrelated places between nodes are what bounds of sub-images' errors rest on
         if (length(s_.high - s_.low) < few_nodes * model.c / (4 * s_.survey.band * model.fs))

@@ -278,13 +278,14 @@ Scene::Scene(Survey given, Pixels image, const Point& bottom, const Point& top)
         nearest = std::min({nearest, out.near, back.near});
         farthest = std::max({farthest, out.far, back.far});
         const double speed = length(point(trace.velocity));
-        const double soon = ((out.near + back.near) / (model.c + speed) - trace.t0) * model.fs;
-        const double late = ((out.far + back.far) / (model.c - speed) - trace.t0) * model.fs;
+        const double soon = ((out.near + back.near) / (trace.c + speed) - trace.t0) * model.fs;
+        const double late = ((out.far + back.far) / (trace.c - speed) - trace.t0) * model.fs;
         const std::int64_t from = index_of(std::floor(soon), samples()), to = index_of(std::ceil(late), samples());
-        heard.push_back(to >= 0 && from <= samples() - 1);
+        const Recorded recorded(trace);
+        heard.push_back(recorded.begin < recorded.end && to >= recorded.begin && from < recorded.end);
         audible += heard.back();
-        first.push_back(std::max<std::int64_t>(from, 0));
-        last.push_back(std::min(to, samples() - 1));
+        first.push_back(std::max(from, recorded.begin));
+        last.push_back(std::min(to, recorded.end - 1));
     }
 }
 
@@ -324,8 +325,8 @@ void Scene::look() const {
             const Trace& trace = survey.traces[static_cast<std::size_t>(i)];
             const Point there = pixel - point(trace.tx), back = pixel - point(trace.rx);
             const double out = std::max(length(there), 1e-9), home = std::max(length(back), 1e-9);
-            const double place = ((out + home) / model.c - trace.t0) * model.fs;
-            if (!(place >= -edge_samples && place <= model.last + edge_samples)) continue;
+            const double place = ((out + home) / trace.c - trace.t0) * model.fs;
+            if (!(place >= trace.first - edge_samples && place <= trace.last + edge_samples)) continue;
             if (!lights(light, trace, {there.x, there.y, there.z})) continue;
             if (light.terms > 0) {
                 const double weight = pysas::brightness(model.beam, trace, {there.x, there.y, there.z});

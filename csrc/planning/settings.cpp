@@ -126,7 +126,9 @@ Crop crop(const Scene& scene, double budget) {
 // Whether pixels need samples less than `away` from a record's end: there a low-passed trace holds all |f| < 1/2.
 bool near_ends(const Scene& scene, std::int64_t away) {
     for (std::size_t i = 0; i < scene.heard.size(); ++i) {
-        if (scene.heard[i] && (scene.first[i] < away || scene.last[i] > scene.samples() - 1 - away)) return true;
+        const Recorded recorded(scene.survey.traces[i]);
+        if (scene.heard[i] && (scene.first[i] < recorded.begin + away || scene.last[i] > recorded.end - 1 - away))
+            return true;
     }
     return false;
 }

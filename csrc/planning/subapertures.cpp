@@ -26,14 +26,13 @@ struct Slope {
     double lateral, radial;
 };
 
-Slope slope_of(const Trace& trace, const Model& model, const Point& place, const Point& ahead, double ground,
-               double stretch) {
+Slope slope_of(const Trace& trace, const Point& place, const Point& ahead, double ground, double stretch) {
     const Point there = place - point(trace.tx), velocity = point(trace.velocity), side{-ahead.y, ahead.x, 0};
     const double way = std::max(pysas::length(there), 1e-9), speed = pysas::length(velocity);
     Point back = place - point(trace.rx);
-    if (speed > 0) back = back - ((way + pysas::length(back)) / model.c) * velocity;
+    if (speed > 0) back = back - ((way + pysas::length(back)) / trace.c) * velocity;
     const Point slope = (1 / way) * there + (1 / std::max(pysas::length(back), 1e-9)) * back;
-    return {dot(slope, side) / (model.c - speed) * ground, dot(slope, ahead) / (model.c - speed) * stretch};
+    return {dot(slope, side) / (trace.c - speed) * ground, dot(slope, ahead) / (trace.c - speed) * stretch};
 }
 
 // Traces of which one has a phase as steep as any: those at a group's ends in all directions, and, where transmitter
@@ -79,8 +78,7 @@ Numbers outermost(const Group& group, const Geometry& geometry, double plane, Sp
                 const double stretch = slant_of(ground, height) / std::max(ground, 1e-9);
                 const Point place = Point{group.centre.x, group.centre.y, plane} + ground * ahead;
                 for (std::size_t i = 0; i < count; ++i)
-                    slopes[i] =
-                        slope_of(geometry.traces[group.traces[i]], geometry.model, place, ahead, ground, stretch);
+                    slopes[i] = slope_of(geometry.traces[group.traces[i]], place, ahead, ground, stretch);
                 pick([&](std::size_t i) { return slopes[i].lateral; });
                 pick([&](std::size_t i) { return slopes[i].radial; });
             }
@@ -286,7 +284,7 @@ Bands bands_of(const Group& group, const Geometry& geometry, double plane, Span 
             for (int k = 0; k < count; ++k) {
                 const Point& ahead = out[static_cast<std::size_t>(k)];
                 const Point place = Point{group.centre.x, group.centre.y, plane} + ground * ahead;
-                const auto [lateral, radial] = slope_of(geometry.traces[i], model, place, ahead, ground, stretch);
+                const auto [lateral, radial] = slope_of(geometry.traces[i], place, ahead, ground, stretch);
                 bands.across = std::max(bands.across, std::abs(lateral));
                 bands.along =
                     std::max(bands.along, half * std::abs(radial) + model.fc * std::abs(radial - 2 / model.c));

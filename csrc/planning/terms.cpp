@@ -14,8 +14,8 @@ namespace {
 constexpr std::int64_t drawn = 4096;                                     // pixels whose terms are looked at
 constexpr std::int64_t fewest = 1 << 10, most = 1 << 12, one_of = 2000;  // terms looked at; of those between, one of
 
-std::int64_t clipped(double place, const Scene& scene) {
-    return static_cast<std::int64_t>(std::clamp(place, -1.0, scene.survey.model.last + 1));
+std::int64_t clipped(double place, const Trace& trace) {
+    return static_cast<std::int64_t>(std::clamp(place, trace.first - 1, trace.last + 1));
 }
 
 // Least and largest place that a pixel in the image's box reads: at its nearest point, and in a corner.
@@ -32,8 +32,8 @@ void edges_of(const Scene& scene, std::int64_t number, std::int64_t& least, std:
     };
     look(point(nearest));
     for (int k = 0; k < 8; ++k) look({k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], k & 4 ? high[2] : low[2]});
-    least = clipped(std::floor(first), scene);
-    largest = clipped(std::ceil(last), scene);
+    least = clipped(std::floor(first), trace);
+    largest = clipped(std::ceil(last), trace);
 }
 
 }  // namespace
@@ -46,13 +46,13 @@ Place place_of(const Scene& scene, const Trace& trace, const Point& pixel) {
     if (scene.kind != Kind::monostatic) {
         // of receivers that have moved: twice again is enough
         for (int turn = 0; turn < (scene.kind == Kind::moving ? 3 : 1); ++turn) {
-            const double late = scene.kind == Kind::moving ? (out + back) / model.c : 0;
+            const double late = scene.kind == Kind::moving ? (out + back) / trace.c : 0;
             back = length(pixel - point(trace.rx) - late * point(trace.velocity));
         }
     }
-    const double index = ((out + back) / model.c - trace.t0) * model.fs;
+    const double index = ((out + back) / trace.c - trace.t0) * model.fs;
     const double to[3] = {away.x, away.y, away.z};
-    const bool lit = index >= 0 && index <= model.last && lights(scene.light, trace, to);
+    const bool lit = index >= trace.first && index <= trace.last && lights(scene.light, trace, to);
     return {index, lit, lit ? brightness(model.beam, trace, to) : 0};
 }
 
