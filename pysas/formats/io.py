@@ -123,6 +123,7 @@ _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 _ECHO_NEEDS = ("schema", "data", "fs", "fc", "c", "t0", "tx", "rx", "compressed")
 _AXES = {"plane": ("x", "y"), "surface": ("x", "y"), "polar": ("r", "angle"), "volume": ("x", "y", "z"), "points": ()}
+_TURNED = ("plane", "surface")  # may have axes of their own: grid_origin and grid_rotation, where these are not 0
 _MORE_GRID = {"plane": ("height", ""), "surface": ("height", "y x"), "polar": ("centre", "3")}
 
 
@@ -211,6 +212,8 @@ def _image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]
     table |= {"data": ("samples", pixels), "fc": ("real", ""), "c": ("real", ""), "grid_mask": ("bool", pixels)}
     table |= {f"grid_{name}": ("real", name) for name in _AXES[kind]}
     name, wanted = _MORE_GRID.get(kind, ("coords", f"{pixels} 3"))
+    if kind in _TURNED:
+        table |= {"grid_origin": ("real", "2"), "grid_rotation": ("real", "")}
     return table if kind == "volume" else table | {f"grid_{name}": ("real", wanted)}
 
 
@@ -223,6 +226,8 @@ def _image_fields(image: Image) -> dict[str, Array]:
     if grid.kind != "volume":
         name = _MORE_GRID.get(grid.kind, ("coords", ""))[0]
         fields[f"grid_{name}"] = getattr(grid, name)
+    if grid.turned:
+        fields |= {"grid_origin": grid.origin, "grid_rotation": grid.rotation}
     if grid.mask is not None:
         fields["grid_mask"] = grid.mask
     fields["report"] = json.dumps(_plain("report", image.report.as_dict()))
@@ -235,12 +240,12 @@ def _read_image(file: File) -> tuple[Image, set[str]]:
     if kind not in KINDS:
         raise ValueError(f"grid_kind: found {kind!r:.60}, expected one of {', '.join(KINDS)}")
     table = _image_table(kind, file.fields["data"][0] if "data" in file.fields else ())
-    file.check(table, [name for name in table if name != "grid_mask"])
+    file.check(table, [name for name in table if name not in ("grid_mask", "grid_origin", "grid_rotation")])
+    file.together(("grid_origin", "grid_rotation"))
     names = [name for name in table if name.startswith("grid_") and name in file.fields and name != "grid_kind"]
     argument = {"height": "z", "coords": "points"}
     parts = {argument.get(key := name.removeprefix("grid_"), key): file.read(name) for name in names}
-    if kind == "plane":
-        parts["z"] = parts["z"].item()
+    parts |= {name: parts[name].item() for name in ("z", "rotation") if name in parts and parts[name].ndim == 0}
     grid: Grid = getattr(Grid, kind)(**parts)
     report = Report.from_dict(_object("report", file.text("report")))
     return Image(file.read("data"), grid, report, file.read("fc").item(), file.read("c").item()), set(table)

@@ -125,7 +125,9 @@ class Image:
             coords["height"] = (dims, np.asarray(grid.height), {"units": "m"})
         if grid.coords is not None:
             coords |= {name: (dims, grid.coords[..., i], {"units": "m"}) for i, name in enumerate("xyz")}
-        attrs = {"fc": self.fc, "c": self.c, "method": self.report.method}
+        attrs: dict[str, Any] = {"fc": self.fc, "c": self.c, "method": self.report.method}
+        if grid.turned:
+            attrs |= {"origin": grid.origin, "rotation": grid.rotation}
         return xarray.DataArray(self.data, dims=dims, coords=coords, name="image", attrs=attrs)
 
     def __repr__(self) -> str:
