@@ -22,14 +22,24 @@ _COMMANDS = {
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
-    """`--x -1:1` as `--x=-1:1`: argparse takes a value that begins with a minus for an option."""
+    """`--x -1:1` as `--x=-1:1`, as argparse takes a value that begins with a minus for an option; `--spacing A B` as A,B."""
     joined: list[str] = []
     for argument in argv:
-        if joined and joined[-1] in ("--x", "--y", "--z") and argument.startswith("-"):
+        if joined and joined[-1] in ("--x", "--y", "--z", "--reference") and argument.startswith("-"):
             joined[-1] += f"={argument}"
+        elif joined[-2:-1] == ["--spacing"] and _is_number(joined[-1]) and _is_number(argument):
+            joined[-1] += f",{argument}"
         else:
             joined.append(argument)
     return joined
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 class _Parser(argparse.ArgumentParser):
@@ -50,7 +60,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code (0 well, 1 a failed check or an image of nothing, 2 an error, 130 Ctrl-C)."""
+    """Run a command; returns the exit code (0 well, 1 a failed check or an empty image, 2 an error, 130 Ctrl-C)."""
     arguments = parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
 
     def warn(message: Any, *_: Any, **__: Any) -> None:

@@ -107,6 +107,22 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     return result
 
 
+def load_echoes(path: str | os.PathLike[str]) -> Echoes:
+    """As `load`, of a file that holds echoes; ValueError where it holds an image."""
+    item = load(path)
+    if not isinstance(item, Echoes):
+        raise ValueError(f"{files.name(path)}: found an image, expected echoes")
+    return item
+
+
+def load_image(path: str | os.PathLike[str]) -> Image:
+    """As `load`, of a file that holds an image; ValueError where it holds echoes."""
+    item = load(path)
+    if not isinstance(item, Image):
+        raise ValueError(f"{files.name(path)}: found echoes, expected an image")
+    return item
+
+
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the
 # same number wherever it stands, T is "ping channel", or "ping" where the data are (ping, sample)
 

@@ -192,7 +192,9 @@ class Grid:
             lines.append(f"  centre     {self.centre} m")
         if self.turned:
             x, y = self.origin
-            lines.append(f"  axes       from ({x:.10g}, {y:.10g}) m, turned by {np.degrees(self.rotation):.4g} deg from x towards y")
+            lines.append(
+                f"  axes       from ({x:.10g}, {y:.10g}) m, turned by {np.degrees(self.rotation):.4g} deg from x towards y"
+            )
         if self.mask is not None:
             lines.append(f"  mask       {np.count_nonzero(self.mask)} of {self.size} pixels imaged")
         return "\n".join(lines)
