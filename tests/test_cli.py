@@ -180,8 +180,8 @@ def test_every_target_of_data_made_elsewhere_within_1_mm(data_dir, name, heights
         here = truth[np.abs(truth[:, 2] - z) < 1e-3]
         spans = [f"{v.min() - 0.3}:{v.max() + 0.3}" for v in here.T[:2]]
         code, out, _ = run(
-            "image", data_dir / f"{name}.npz", "--z", z, f"--x={spans[0]}", f"--y={spans[1]}", "--truth", "--json", "--method", method,
-            capsys=capsys,
+            "image", data_dir / f"{name}.npz", "--z", z, f"--x={spans[0]}", f"--y={spans[1]}", "--truth", "--json", "--method",
+            method, capsys=capsys,
         )  # fmt: skip
         targets = json.loads(out)["targets"]
         assert code == 0 and max(t["error_mm"] for t in targets) < 1.0

@@ -81,7 +81,12 @@ def _extents(places: FloatArray) -> list[list[float]]:
 
 
 def _spans(extents: list[list[float]]) -> str:
-    return ", ".join(f"{name} {round(low, 3):.10g} to {round(high, 3):.10g}" for name, low, high in zip("xyz", *extents, strict=False)) + " m"
+    return (
+        ", ".join(
+            f"{name} {round(low, 3):.10g} to {round(high, 3):.10g}" for name, low, high in zip("xyz", *extents, strict=False)
+        )
+        + " m"
+    )
 
 
 COMMAND = Command("info", "what a file holds: track, ranges, resolution, and the image it would give", _add_arguments, _run)

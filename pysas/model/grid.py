@@ -6,6 +6,7 @@ A grid knows its coordinates, of which it keeps its own copies, and nothing of e
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -132,6 +133,30 @@ class Grid:
     def size(self) -> int:
         """Number of pixels."""
         return int(np.prod(self.shape))
+
+    def within(self, **spans: tuple[float, float]) -> tuple[Grid, tuple[Any, ...]]:
+        """The grid within spans (low, high) of its axes, ends included, by their names; and the index of its pixels in this."""
+        chosen: dict[str, slice | npt.NDArray[np.intp]] = dict.fromkeys(self.axes, slice(None))
+        for name, span in spans.items():
+            if name not in self.axes:
+                raise ValueError(
+                    f"{name}={span!r}: expected one of the axes of a {self.kind}: {', '.join(self.axes) or 'none'}"
+                )
+            low, high = _checks.reals(name, span, [(2,)])
+            number = np.flatnonzero((self.axes[name] >= low) & (self.axes[name] <= high))
+            if number.size == 0:
+                ends = f"{self.axes[name].min():.6g} to {self.axes[name].max():.6g}"
+                raise ValueError(f"{name}={span!r}: holds no pixel: expected a span of {ends}")
+            chosen[name] = slice(int(number[0]), int(number[-1]) + 1) if number[-1] - number[0] + 1 == number.size else number
+        index: tuple[Any, ...] = tuple(chosen[name] for name in list(self.axes)[::-1])
+        if any(isinstance(part, np.ndarray) for part in index):
+            index = np.ix_(*(np.arange(n)[part] for part, n in zip(index, self.shape, strict=True)))
+        axes = {name: axis[chosen[name]] for name, axis in self.axes.items()}
+        height = self.height[index] if isinstance(self.height, np.ndarray) else self.height
+        mask = None if self.mask is None else self.mask[index]
+        return dataclasses.replace(
+            self, shape=np.broadcast_to(False, self.shape)[index].shape, axes=axes, height=height, mask=mask
+        ), index
 
     @property
     def turned(self) -> bool:

@@ -101,6 +101,30 @@ class Image:
         object.__setattr__(self, "fc", _checks.number("fc", self.fc, positive=True))
         object.__setattr__(self, "c", _checks.number("c", self.c, positive=True))
 
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """The pixels: np.asarray(image) is `data`, and NumPy's functions take images."""
+        return np.array(self.data, dtype=dtype, copy=copy)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Pixels, as of `data`: image[...] is all of them; `crop` keeps their grid."""
+        return self.data[index]
+
+    def crop(self, **spans: tuple[float, float]) -> Image:
+        """The image within spans of its axes, ends included; pixels are shared, not copied, where axes ascend or descend.
+
+        Parameters
+        ----------
+        **spans : (low, high)
+            By the name of an axis of its grid, m (angle: rad): image.crop(x=(0, 5), y=(20, 30)).
+
+        Raises
+        ------
+        ValueError, TypeError
+            No such axis, a span that is none or holds no pixel.
+        """
+        grid, where = self.grid.within(**spans)
+        return dataclasses.replace(self, data=self.data[where], grid=grid)
+
     def db(self, reference: float | None = None) -> FloatArray:
         """Magnitude in dB below `reference` (amplitude; default: the largest). Zero pixels are -inf; all zero: all -inf."""
         magnitude = np.abs(self.data).astype(np.float64)
