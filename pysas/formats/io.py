@@ -1,5 +1,9 @@
 """Files: the schemas "pysas-echoes-1" and "pysas-image-1" in two containers, .npz and .h5 (h5py, extra `hdf5`).
 
+Complex fields of .h5 are compounds of "r" and "i", as h5py and HDF5.jl take for complex, netCDF-4 programs too where they are
+asked to (netCDF4 and xarray with `auto_complex=True`), and MATLAB's h5read gives as a struct. Those that programs write which
+have no such type may be real with a last axis of 2: real and imaginary part.
+
 Reading trusts no size: each field's dtype and shape are taken from its header and compared with the bytes that lie in the
 file, with the schema and with the other fields; then navigation and grid are read and checked, and only then samples or
 pixels are allocated. This module knows no algorithm, `containers` has the bytes, `files` how a file takes its place.
@@ -93,6 +97,7 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     with files.opened(text) as stream:
         try:
             with opened(stream) as file:
+                file.take_pairs(("data", "waveform"))
                 schema = file.text("schema")
                 if schema not in (ECHOES, IMAGE):
                     raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
