@@ -102,6 +102,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         arguments.raw, echoes, grid, how, progress, choices, output=output, png=png, overwrite=arguments.overwrite
     )
     print(json.dumps(summary) if arguments.json else described(picture, summary))
+    if arguments.output is None and output is not None and png is None:
+        print("no picture: pip install 'pysas-sonar[plot]'")
     return int(not picture.data.any())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -35,23 +36,25 @@ def load(path: str | os.PathLike[str]) -> tuple[FloatArray, FloatArray, FloatArr
         No such content, or values that are not finite; names file and field.
     """
     text = files.name(path)
+    contained = Path(text).suffix.lower() in (".npz", ".h5")
     with files.opened(text) as stream:
-        if Path(text).suffix.lower() in (".npz", ".h5"):
-            with container(text)[0](stream) as file:
-                try:
-                    file.check(_FIELDS, _FIELDS)
-                    found = [file.read(name) for name in "xyz"]
-                    shapes: list[tuple[int | str, ...]] = [("x",), ("y",), ("y", "x")]
-                    x, y, z = (_checks.reals(n, v, [s], ("row",)) for n, v, s in zip("xyz", found, shapes, strict=True))
-                except ValueError as error:
-                    raise ValueError(f"{text}: {error}") from None
-            return x, y, z
         try:
-            lines = (line.decode("utf-8").replace(",", " ") for line in stream)
-            points = np.loadtxt(lines, ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{text}: {error}: expected lines of x, y, z") from None
-    if points.shape[1] != 3 or points.shape[0] < 3:
-        raise ValueError(f"{text}: found {points.shape[0]} lines of {points.shape[1]} numbers, expected lines of x, y, z")
-    x, y, z = _checks.reals(text, points, [("n", 3)], ("line",)).T
+            x, y, z = _contained(text, stream) if contained else _lines(stream)
+        except MemoryError:
+            raise
+        except Exception as error:  # zipfile, zlib, h5py and loadtxt have many ways of saying that bytes are wrong
+            raise ValueError(f"{text}: {error or type(error).__name__}") from error
     return x, y, z
+
+
+def _contained(path: str, stream: IO[bytes]) -> list[FloatArray]:
+    with container(path)[0](stream) as file:
+        file.check(_FIELDS, _FIELDS)
+        return [_checks.reals(name, file.read(name), [tuple(_FIELDS[name][1].split())], ("row", "column")) for name in _FIELDS]
+
+
+def _lines(stream: IO[bytes]) -> list[FloatArray]:
+    points = np.loadtxt((line.decode("utf-8").replace(",", " ") for line in stream), ndmin=2)
+    if points.shape[1] != 3 or points.shape[0] < 3:
+        raise ValueError(f"found {points.shape[0]} lines of {points.shape[1]} numbers, expected lines of x, y, z")
+    return list(_checks.reals("x, y, z", points, [("n", 3)], ("point",)).T)
