@@ -133,7 +133,10 @@ class Image:
             return np.asarray(20 * np.log10(magnitude / (level or 1.0)))
 
     def to_xarray(self) -> Any:
-        """The image as an `xarray.DataArray` with axes in metres (needs the extra `xarray`)."""
+        """The image as an `xarray.DataArray` with axes in metres (needs the extra `xarray`).
+
+        `to_netcdf` writes complex pixels with engine="h5netcdf", or engine="netcdf4" and auto_complex=True.
+        """
         try:
             import xarray
         except ImportError:
