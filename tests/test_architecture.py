@@ -28,8 +28,8 @@ OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
-    "backproject", "ffbp", "focus", "plan", "simulate", "compress", "load", "save", "from_phase_history", "show_config",
-    "get_include", "get_library",
+    "backproject", "ffbp", "focus", "plan", "simulate", "compress", "load", "load_echoes", "load_image", "save",
+    "from_phase_history", "show_config", "get_include", "get_library",
 }  # fmt: skip
 
 
