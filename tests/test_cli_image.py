@@ -301,7 +301,7 @@ def test_compare_makes_a_line_of_an_array(
     monkeypatch.setattr(comparison, "table", lambda _: "")
     code, out, _ = run(capsys, "compare", store / name, "--altitude", "3", "--spacing", "0.05")
     assert code == 0 and "phase centres, made even (2 channels)" in out and ("turned by -130.000 deg" in out) == turned
-    track = framing.track_of(pysas.load_echoes(store / name))
+    track = framing.course_of(pysas.load_echoes(store / name))
     x, y, _ = peak(images[0]) - [0, track.places[0, 1], 0]
     assert x - images[0].grid.axes["x"][0] == pytest.approx(1.2, abs=0.1) and y == pytest.approx(np.hypot(8, 3), abs=0.1)
 

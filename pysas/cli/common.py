@@ -75,7 +75,9 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
     sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
     seabed = sub.add_mutually_exclusive_group()
-    seabed.add_argument("--z", type=float, metavar="Z", help="z of the seabed, m (default: the sonar's own)")
+    seabed.add_argument(
+        "--z", type=float, metavar="Z", help="z of the seabed, m (default: by the file's altitude, else the sonar's own)"
+    )
     seabed.add_argument("--altitude", type=float, metavar="A", help="height of the sonar over the seabed, m")
     seabed.add_argument("--depth-map", metavar="FILE", help="z of the seabed at x, y: .npz, .h5, or text of x, y, z")
     sub.add_argument(
@@ -143,7 +145,7 @@ def chosen_grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, st
         z, why = arguments.z, f"z = {arguments.z:g} m"
     else:
         z, why = framing.assumed_height(echoes, arguments.altitude)
-        if arguments.altitude is None and "altitude" not in echoes.attrs and framing.track_of(echoes).closed:
+        if arguments.altitude is None and "altitude" not in echoes.attrs and framing.course_of(echoes).closed:
             warnings.warn(f"a closed track is sharp at the seabed's height alone, and {why}", stacklevel=2)
     grid, how = _spanned(arguments, echoes, z)
     if relief is not None:

@@ -36,7 +36,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
 
 def _of_echoes(echoes: Echoes, tol: float, explained: bool) -> tuple[dict[str, Any], str]:
     near, far = echoes.swath
-    track = framing.track_of(echoes)
+    track = framing.course_of(echoes)
     tx, rx = (_extents(places) for places in (echoes.tx, echoes.receivers))
     along = framing.along_track_resolution(echoes)
     values = {

@@ -20,7 +20,7 @@ _ALONG = np.radians(1.0)  # tracks within this of the x axis keep the coordinate
 
 
 @dataclass(frozen=True)
-class Track:
+class Course:
     """Where a survey was sailed, seen from above.
 
     Attributes
@@ -47,7 +47,7 @@ class Track:
         return self.places.min(axis=0), self.places.max(axis=0)
 
 
-def track_of(echoes: Echoes) -> Track:
+def course_of(echoes: Echoes) -> Course:
     """The track of echoes, on the axes of its lines: their mean direction, whichever way each was sailed."""
     centres = (echoes.tx + echoes.receivers.mean(axis=1)) / 2
     flat, height = centres[:, :2], float(np.round(np.median(centres[:, 2]), 3))
@@ -61,16 +61,16 @@ def track_of(echoes: Echoes) -> Track:
     if np.sum(steps * np.exp(-1j * angle)).real < 0 or angle == -np.pi / 2:
         angle += np.pi
     if abs(np.sin(angle)) < np.sin(_ALONG):
-        return Track(np.zeros(2), 0.0, flat, height, closed)
+        return Course(np.zeros(2), 0.0, flat, height, closed)
     angle = float(np.angle(np.exp(1j * angle)))
     origin = np.round(flat[0])
     axes = Grid.plane([0.0], [0.0], origin=origin, rotation=angle)
-    return Track(origin, angle, axes.along_axes(flat), height, closed)
+    return Course(origin, angle, axes.along_axes(flat), height, closed)
 
 
-def laid_along_x(echoes: Echoes) -> tuple[Echoes, Track]:
+def laid_along_x(echoes: Echoes) -> tuple[Echoes, Course]:
     """Echoes with all places and directions on the axes of their track, and where these were."""
-    track = track_of(echoes)
+    track = course_of(echoes)
     if not track.rotation:
         return echoes, track
     cos, sin = np.cos(track.rotation), np.sin(track.rotation)
@@ -95,7 +95,7 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     given = "given"
     if altitude is None and "altitude" in echoes.attrs:
         altitude, given = echoes.attrs["altitude"], "of the file's attrs"
-    track = track_of(echoes)
+    track = course_of(echoes)
     sonar = track.height
     if altitude is None:
         sharp = "what lies elsewhere is not sharp"
@@ -107,7 +107,7 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     down = _down(echoes)
     z = sonar + (down or -1.0) * altitude
     why = f"z = {z:.10g} m: altitude {altitude:g} m, {given}, from the sonar's z = {sonar:.10g} m"
-    return z, why if down else why + ", z taken to point up"
+    return z, why if down else why + ", z taken to point up (--z where it does not)"
 
 
 def _down(echoes: Echoes) -> float:
@@ -120,10 +120,10 @@ def _down(echoes: Echoes) -> float:
 
 def along_track_resolution(echoes: Echoes) -> float:
     """-3 dB width along the track, m, at the middle of the record: 0.886 c/(4 f sin theta), with theta as in `default_grid`."""
-    return 0.886 * echoes.c / (4 * echoes.fc * max(_sine(echoes, track_of(echoes)), 1e-6))
+    return 0.886 * echoes.c / (4 * echoes.fc * max(_sine(echoes, course_of(echoes)), 1e-6))
 
 
-def _sine(echoes: Echoes, track: Track) -> float:
+def _sine(echoes: Echoes, track: Course) -> float:
     """Of the half-angle that the track subtends at mid range, or of the beam's first null."""
     low, high = track.extents
     if track.closed:
@@ -156,7 +156,7 @@ def default_grid(
         More than 50 million pixels, unless `large`; says how many. A plane beyond the record.
     """
     z = _checks.number("z", z)
-    track = track_of(echoes)
+    track = course_of(echoes)
     drop = abs(track.height - z)
     record = (echoes.n_sample - 1) / echoes.fs
     if not echoes.compressed and echoes.pulse is not None:
@@ -196,7 +196,7 @@ def default_grid(
 
 
 def _beside(
-    echoes: Echoes, track: Track, ground: tuple[float, float], z: float, side: str | None
+    echoes: Echoes, track: Course, ground: tuple[float, float], z: float, side: str | None
 ) -> tuple[FloatArray, FloatArray, str]:
     """Corners of the rectangle beside a track, on its axes, and how it was chosen."""
     (left, bottom), (right, top) = track.extents
@@ -215,7 +215,7 @@ def _beside(
     return np.array([left - spare, low]), np.array([right + spare, high]), how
 
 
-def _side(echoes: Echoes, track: Track, z: float, side: str | None) -> tuple[int, str]:
+def _side(echoes: Echoes, track: Course, z: float, side: str | None) -> tuple[int, str]:
     """+1 or -1 for one side of a track's axes, 0 for both, and what decided."""
     if side is not None:
         _checks.choice("side", side, SIDES)
