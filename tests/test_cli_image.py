@@ -101,7 +101,7 @@ def test_the_height_is_given_or_said_to_be_assumed(store: Path, capsys: pytest.C
 def test_a_closed_track_is_warned_of_its_height(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--x", "-0.5:0.5", "--y", "-0.5:0.5", "--spacing", "0.01"]
     _, _, err = imaged(capsys, store / "ring.npz", *options)
-    assert "warning: a closed track is sharp at the seabed's height alone" in err
+    assert "warning: z = 2 m assumed" in err and "round a closed track" in err
     image, _, err = imaged(capsys, store / "ring.npz", *options, "--altitude", "2")
     assert "warning" not in err and np.allclose(peak(image), [0.1, 0.2, 0], atol=0.011)
 

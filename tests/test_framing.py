@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -166,6 +167,17 @@ def test_the_seabed_is_where_the_altitude_says_or_at_the_sonar() -> None:
         assert z == 5 + 3 * down and "taken" not in why
     with pytest.raises(ValueError, match="altitude=-1"):
         assumed_height(echoes, -1.0)
+
+
+def test_a_track_that_sways_needs_the_height() -> None:
+    """An eighth of a wavelength of 15 mm is 1.9 mm; a sine has an rms of its amplitude by sqrt(2)."""
+    for sway, matters in ((0.0, False), (2e-3, False), (3e-3, True), (0.05, True)):
+        track = line(10.0) + np.cos(np.linspace(0, 4 * np.pi, 41))[:, None] * [0, sway, 0]
+        echoes = survey(track)
+        assert framing.course_of(echoes).bent == pytest.approx(sway / np.sqrt(2), rel=0.03, abs=1e-9)
+        assert framing.height_matters(echoes) == matters
+        assert ("not sharp" in assumed_height(echoes)[1]) == matters
+    assert re.search(r"by 3\.[56] cm rms, 2\.4 wavelengths", assumed_height(echoes)[1])
 
 
 def test_echoes_laid_along_x_are_the_same_survey() -> None:

@@ -33,6 +33,8 @@ class Course:
         Median z of the phase centres, m.
     closed : bool
         Whether it goes round what it looks at.
+    bent : float
+        How far it leaves a straight line, rms, m.
     """
 
     origin: FloatArray
@@ -40,6 +42,7 @@ class Course:
     places: FloatArray
     height: float
     closed: bool
+    bent: float
 
     @property
     def extents(self) -> tuple[FloatArray, FloatArray]:
@@ -52,6 +55,7 @@ def course_of(echoes: Echoes) -> Course:
     centres = (echoes.tx + echoes.receivers.mean(axis=1)) / 2
     flat, height = centres[:, :2], float(np.round(np.median(centres[:, 2]), 3))
     inward = flat.mean(axis=0) - flat
+    bent = float(np.linalg.norm(np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1:])) / len(centres) ** 0.5
     closed = _encloses(flat, flat.mean(axis=0))
     if closed and echoes.beam is not None:  # a loop that looks outwards is a line
         closed = float(np.mean(np.sum(echoes.beam.boresights[:, :2] * inward, axis=1))) > 0
@@ -61,11 +65,11 @@ def course_of(echoes: Echoes) -> Course:
     if np.sum(steps * np.exp(-1j * angle)).real < 0 or angle == -np.pi / 2:
         angle += np.pi
     if abs(np.sin(angle)) < np.sin(_ALONG):
-        return Course(np.zeros(2), 0.0, flat, height, closed)
+        return Course(np.zeros(2), 0.0, flat, height, closed, bent)
     angle = float(np.angle(np.exp(1j * angle)))
     origin = np.round(flat[0])
     axes = Grid.plane([0.0], [0.0], origin=origin, rotation=angle)
-    return Course(origin, angle, axes.along_axes(flat), height, closed)
+    return Course(origin, angle, axes.along_axes(flat), height, closed, bent)
 
 
 def laid_along_x(echoes: Echoes) -> tuple[Echoes, Course]:
@@ -89,8 +93,8 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     """z of the seabed, m, `altitude` below the sonar, or else what is assumed of it; and why, in words.
 
     Without an `altitude`, here or among the attrs of the echoes, it is the sonar's own height: there is no telling where the
-    seabed is, and a straight track focuses all of it there, at its slant ranges. Down is where beams look; without beams, or
-    where they look neither up nor down, z is taken to point up.
+    seabed is, and a straight track focuses all of it there, at its slant ranges (see `height_matters`). Down is where beams
+    look; without beams, or where they look neither up nor down, z is taken to point up.
     """
     given = "given"
     if altitude is None and "altitude" in echoes.attrs:
@@ -98,9 +102,12 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     track = course_of(echoes)
     sonar = track.height
     if altitude is None:
-        sharp = "what lies elsewhere is not sharp"
-        if not track.closed:
-            sharp = "across-track places are slant ranges there, and all is sharp as far as the track is straight"
+        sharp = "across-track places are slant ranges there, and all is sharp as the track is straight"
+        if track.closed:
+            sharp = "round a closed track what lies elsewhere is not sharp"
+        elif height_matters(echoes):
+            off = f"{100 * track.bent:.2g} cm rms, {track.bent * echoes.fc / echoes.c:.2g} wavelengths"
+            sharp = f"the track leaves a straight line by {off}, so that what lies elsewhere is not sharp"
         why = f"z = {sonar:.10g} m assumed, the sonar's own: nothing says where the seabed is (--z, --altitude, --depth-map)"
         return sonar, f"{why}; {sharp}"
     altitude = _checks.number("altitude", altitude, positive=True)
@@ -108,6 +115,12 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     z = sonar + (down or -1.0) * altitude
     why = f"z = {z:.10g} m: altitude {altitude:g} m, {given}, from the sonar's z = {sonar:.10g} m"
     return z, why if down else why + ", z taken to point up (--z where it does not)"
+
+
+def height_matters(echoes: Echoes) -> bool:
+    """Whether an image at the wrong height is not sharp: the track is closed, or leaves a line by an eighth of a wavelength."""
+    track = course_of(echoes)
+    return track.closed or track.bent > echoes.c / echoes.fc / 8
 
 
 def _down(echoes: Echoes) -> float:
