@@ -12,7 +12,7 @@ import numpy as _numpy  # noqa: F401  by one thread, before names are asked for 
 if TYPE_CHECKING:
     from pysas import circular, comparison, metrics, navigation, plot, reference, simulation, tracks
     from pysas.engine import get_include, get_library, show_config
-    from pysas.formats.io import load, save
+    from pysas.formats.io import load, load_echoes, load_image, save
     from pysas.formats.tables import read_table
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
     from pysas.imaging.planner import plan
@@ -30,15 +30,16 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
-    "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics",
-    "navigation", "plan", "plot", "read_table", "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
+    "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load",
+    "load_echoes", "load_image", "metrics", "navigation", "plan", "plot", "read_table", "reference", "save", "show_config",
+    "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
 _MODULES = {
     "engine": ("get_include", "get_library", "show_config"),
-    "formats.io": ("load", "save"),
+    "formats.io": ("load", "load_echoes", "load_image", "save"),
     "formats.tables": ("read_table",),
     "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),
     "imaging.planner": ("plan",),
@@ -68,4 +69,4 @@ if not TYPE_CHECKING:  # a checker shall know of no other names
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__") and name.endswith("__"))])

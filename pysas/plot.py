@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from pysas.formats import files
 from pysas.model.grid import Grid
 from pysas.model.image import Image
 
+Shade = Callable[[npt.NDArray[Any]], FloatArray]
+
 _DPI = 150
 _FAR = 1e4  # coordinates beyond this are drawn about a round origin named on the axis
 
@@ -25,12 +28,13 @@ def quicklook(
     path: str | os.PathLike[str] | None = None,
     *,
     dynamic_range: float = 40.0,
+    reference: str | float = "peak",
     targets: npt.ArrayLike | None = None,
     title: str | None = None,
     ax: Any = None,
     overwrite: bool = True,
 ) -> Any:
-    """Draw the magnitude in dB below the 99.9th-percentile peak, axes in metres, equal aspect, colour bar.
+    """Draw the magnitude in dB, axes in metres, equal aspect, colour bar.
 
     Parameters
     ----------
@@ -39,7 +43,10 @@ def quicklook(
     path : path, optional
         Written as PNG (or what the suffix says), complete or not at all.
     dynamic_range : float
-        dB shown.
+        dB shown, below the reference.
+    reference : "peak", "percentile" or float
+        What is drawn as 0 dB: the largest magnitude, its 99.9th percentile (of the pixels that are not 0), or a level in dB,
+        20 log10 of a magnitude, by which pictures of several images can be compared. The colour bar names it in dB.
     targets : (n, 2 or 3) array_like, optional
         Positions marked with small circles.
     title : str, optional
@@ -66,6 +73,10 @@ def quicklook(
         raise TypeError(f"image={type(image).__name__}: expected pysas.Image")
     dynamic_range = _checks.number("dynamic_range", dynamic_range, positive=True)
     marks = None if targets is None else _checks.reals("targets", targets, [(2,), (3,), ("n", 2), ("n", 3)], ("target",))
+    if isinstance(reference, str):
+        _checks.choice("reference", reference, ("peak", "percentile"))
+    else:
+        reference = _checks.number("reference", reference, low=-600, high=600)
     kind = "" if path is None else picture_format(path)
     figure: Any
     if ax is None:
@@ -74,44 +85,57 @@ def quicklook(
     else:
         figure = ax.figure
     grid = image.grid
-    magnitude = np.abs(image.data).astype(np.float64)
+    magnitude = np.abs(image.data)
     note = ""
     if grid.kind == "volume":
         magnitude, note = magnitude.max(axis=0), ", maximum over z"
-    positive = magnitude[magnitude > 0]
-    level = "dB below the 99.9th percentile"
-    peak = float(np.percentile(positive, 99.9)) if positive.size else 1.0
-    if positive.size and peak < (floor := float(positive.max()) * 10 ** (-dynamic_range / 40)):
-        # points so few that the percentile is that of the noise: half the range is theirs
-        peak, level = floor, f"dB below {dynamic_range / 2:g} dB under the peak"
-    with np.errstate(divide="ignore"):
-        db = np.maximum(20 * np.log10(magnitude / peak), -2 * dynamic_range)
+    level, said = _reference(magnitude, reference)
+
+    def db(found: npt.NDArray[Any]) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            return np.maximum(20 * np.log10(found.astype(np.float64)) - level, -2 * dynamic_range)
+
     style: dict[str, Any] = {"vmin": -dynamic_range, "vmax": 0.0, "cmap": "inferno"}
     origin = np.zeros(2)
     if grid.kind in ("plane", "surface", "volume"):
         x, y = grid.axes["x"], grid.axes["y"]
         origin = _origin(x, y)
-        drawn = _draw_rectangles(ax, x - origin[0], y - origin[1], db, style)
+        drawn = _draw_rectangles(ax, x - origin[0], y - origin[1], magnitude, db, style)
     elif grid.kind == "polar":
         x, y, _ = grid.coordinates().T
         origin = _origin(x, y)
-        drawn = _draw_sector(ax, grid, origin, db, style)
+        drawn = _draw_sector(ax, grid, origin, magnitude, db, style)
     else:
         x, y, _ = grid.coordinates().T
         origin = _origin(x, y)
-        drawn = ax.scatter(x - origin[0], y - origin[1], c=db.ravel(), s=4, **style)
+        drawn = ax.scatter(x - origin[0], y - origin[1], c=db(magnitude.ravel()), s=4, **style)
     if marks is not None:
-        marks = np.atleast_2d(marks)
+        marks = grid.along_axes(np.atleast_2d(marks))
         ax.plot(marks[:, 0] - origin[0], marks[:, 1] - origin[1], "o", mfc="none", mec="deepskyblue", ms=9, mew=0.8)
     ax.set_aspect("equal")
     for axis, name, start in ((ax.xaxis, "x (along-track)", origin[0]), (ax.yaxis, "y (across-track)", origin[1])):
         axis.set_label_text(f"{name}, m" + (f" from {start:.0f}" if start else ""))
-    figure.colorbar(drawn, ax=ax, label=level, shrink=0.85)
+    if grid.turned:
+        where = f"from ({grid.origin[0]:.10g}, {grid.origin[1]:.10g}), turned {np.degrees(grid.rotation):.1f} deg"
+        ax.xaxis.set_label_text(f"{ax.xaxis.get_label_text()}\n{where}")
+    figure.colorbar(drawn, ax=ax, label=said, shrink=0.85, extend="neither" if db(magnitude.max()) <= 1e-6 else "max")
     tol = "" if image.report.tol is None else f", tol {image.report.tol:g}"
     ax.set_title((f"{image.report.method}{tol}" if title is None else title) + note)
     if path is not None:
         write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
     return figure
+
+
+def _reference(magnitude: npt.NDArray[Any], reference: str | float) -> tuple[float, str]:
+    """What is drawn as 0 dB, in dB, and how the colour bar says it."""
+    if not isinstance(reference, str):
+        return reference, f"dB relative to {reference:.4g} dB"
+    positive = magnitude[magnitude > 0]
+    if positive.size == 0:
+        return 0.0, "dB (the image is zero)"
+    found = float(positive.max() if reference == "peak" else np.percentile(positive, 99.9))
+    level = 20 * float(np.log10(found))
+    return level, f"dB relative to {'the peak' if reference == 'peak' else 'the 99.9th percentile'}, {level:.4g} dB"
 
 
 def write(figure: Any, path: str | os.PathLike[str], kind: str, *, dpi: float, overwrite: bool) -> None:
@@ -154,7 +178,7 @@ def _figure(**choices: Any) -> Any:
 
 def _size(image: Image) -> tuple[float, float]:
     """Figure size, inches, that the image's shape fills beside its colour bar."""
-    x, y, _ = np.ptp(image.grid.coordinates(_corners(image)), axis=0)
+    x, y = np.ptp(image.grid.along_axes(image.grid.coordinates(_corners(image))), axis=0)
     aspect = float(np.clip(x / max(y, 1e-300), 0.25, 4.0))
     height = 7.0 if aspect < 1 else max(7.0 / aspect, 2.5)
     return height * aspect + 2.2, height + 1.0
@@ -180,40 +204,42 @@ def _room(ax: Any, x: FloatArray, y: FloatArray) -> float:
 
 
 def _reduced(
-    db: FloatArray, first: FloatArray, second: FloatArray, room: tuple[float, float]
-) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int]]:
+    magnitude: npt.NDArray[Any], first: FloatArray, second: FloatArray, room: tuple[float, float]
+) -> tuple[npt.NDArray[Any], FloatArray, FloatArray, tuple[int, int]]:
     """Maxima of blocks, about `room` of them along each axis, the axes of their middles, and the blocks' size."""
-    size = tuple(max(1, int(np.ceil(n / max(most, 16.0)))) for n, most in zip(db.shape, room, strict=True))
+    size = tuple(max(1, int(np.ceil(n / max(most, 16.0)))) for n, most in zip(magnitude.shape, room, strict=True))
     for axis, block in enumerate(size):
-        db = np.maximum.reduceat(db, np.arange(0, db.shape[axis], block), axis=axis)
+        magnitude = np.maximum.reduceat(magnitude, np.arange(0, magnitude.shape[axis], block), axis=axis)
     axes = [
         np.array([part.mean() for part in np.split(v, range(block, v.size, block))])
         for v, block in zip((first, second), size, strict=True)
     ]
-    return db, axes[0], axes[1], (size[0], size[1])
+    return magnitude, axes[0], axes[1], (size[0], size[1])
 
 
-def _draw_rectangles(ax: Any, x: FloatArray, y: FloatArray, db: FloatArray, style: dict[str, Any]) -> Any:
+def _draw_rectangles(
+    ax: Any, x: FloatArray, y: FloatArray, magnitude: npt.NDArray[Any], db: Shade, style: dict[str, Any]
+) -> Any:
     dots = _room(ax, x, y)
     even = all(v.size < 3 or np.ptp(np.diff(v)) < 1e-3 * abs(np.diff(v)).max() for v in (x, y))
-    db, middle_y, middle_x, (rows, columns) = _reduced(db, y, x, (np.ptp(y) * dots, np.ptp(x) * dots))
+    magnitude, middle_y, middle_x, (rows, columns) = _reduced(magnitude, y, x, (np.ptp(y) * dots, np.ptp(x) * dots))
     if not even:
-        return ax.pcolormesh(middle_x, middle_y, db, shading="nearest", rasterized=True, **style)
+        return ax.pcolormesh(middle_x, middle_y, db(magnitude), shading="nearest", rasterized=True, **style)
     dx, dy = ((v[-1] - v[0]) / max(v.size - 1, 1) or 1.0 for v in (x, y))
     left, bottom = x[0] - dx / 2, y[0] - dy / 2
     # the last block may reach beyond the image, whose own limits stay
-    extent = (left, left + db.shape[1] * columns * dx, bottom, bottom + db.shape[0] * rows * dy)
-    drawn = ax.imshow(db, origin="lower", extent=extent, interpolation="nearest", **style)
+    extent = (left, left + magnitude.shape[1] * columns * dx, bottom, bottom + magnitude.shape[0] * rows * dy)
+    drawn = ax.imshow(db(magnitude), origin="lower", extent=extent, interpolation="nearest", **style)
     ax.set_xlim(left, left + x.size * dx)
     ax.set_ylim(bottom, bottom + y.size * dy)
     return drawn
 
 
-def _draw_sector(ax: Any, grid: Grid, origin: FloatArray, db: FloatArray, style: dict[str, Any]) -> Any:
+def _draw_sector(ax: Any, grid: Grid, origin: FloatArray, magnitude: npt.NDArray[Any], db: Shade, style: dict[str, Any]) -> Any:
     x, y, _ = grid.coordinates().T
     r, angle = grid.axes["r"], grid.axes["angle"]
     dots = _room(ax, x, y)
     room = (np.ptp(angle) * np.abs(r).max() * dots, np.ptp(r) * dots)
-    db, angle, r, _ = _reduced(db, angle, r, room)
+    magnitude, angle, r, _ = _reduced(magnitude, angle, r, room)
     east, north = (grid.centre[i] - origin[i] + np.outer(f(angle), r) for i, f in enumerate((np.cos, np.sin)))
-    return ax.pcolormesh(east, north, db, shading="nearest", rasterized=True, **style)
+    return ax.pcolormesh(east, north, db(magnitude), shading="nearest", rasterized=True, **style)

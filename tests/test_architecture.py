@@ -28,8 +28,8 @@ OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
-    "backproject", "ffbp", "focus", "plan", "simulate", "compress", "demodulate", "load", "save", "from_phase_history",
-    "show_config", "get_include", "get_library", "read_table",
+    "backproject", "ffbp", "focus", "plan", "simulate", "compress", "demodulate", "load", "load_echoes", "load_image", "save",
+    "from_phase_history", "show_config", "get_include", "get_library", "read_table",
 }  # fmt: skip
 
 

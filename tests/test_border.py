@@ -287,6 +287,26 @@ def test_a_sum_of_nothing_warns_once_and_says_why(case, call, backend):
     assert sum("image is zero" in note for note in image.report.notes) == 1
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("call", ["backproject", "ffbp", "focus"])
+def test_terms_of_masked_pixels_alone_are_none(call, backend):
+    """Pixels 100 m away lie beyond the record; the one within it is masked, on the same line."""
+    points = np.zeros((1, 30, 3))
+    points[..., 1] = np.linspace(20, 100, 30)
+    mask = points[..., 1] > 40
+    echoes = ECHOES.replace(data=ECHOES.data[..., :300])
+    with pytest.warns(UserWarning, match="no pixel lies within the recorded window of any trace left: image is zero") as caught:
+        image = CALLS[call](echoes, pysas.Grid.points(points, mask=mask), backend=backend)
+    assert len(caught) == 1 and image.report.terms == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_samples_of_nothing_are_said_to_be(backend):
+    with pytest.warns(UserWarning, match="every sample is 0: image is zero"):
+        image = pysas.backproject(ECHOES.replace(data=np.zeros_like(ECHOES.data)), PLANE, backend=backend)
+    assert image.report.terms > 0 and not image.data.any()
+
+
 def test_a_fault_in_planning_trees_leaves_the_direct_sum(monkeypatch):
     """Of Numba's planner; that of C++ has no door for faults."""
 

@@ -711,3 +711,55 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
     io.save(tmp_path / "link.npz", survey(c=1400.0))
     assert (tmp_path / "link.npz").is_symlink()
     assert io.load(tmp_path / "a.npz").c == 1400.0
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("kind", ["<f4", ">f8"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_real_and_imaginary_parts_along_a_last_axis_are_samples(suffix: str, kind: str, order: Any, tmp_path: Path) -> None:
+    """As MATLAB and netCDF write what they have no complex type for."""
+    echoes = survey(pulse=np.ones(5, np.complex64), dtype=kind.replace("f4", "c8").replace("f8", "c16"))
+    io.save(tmp_path / f"whole{suffix}", echoes)
+    fields: dict[str, Any] = {}
+    if suffix == ".npz":
+        with np.load(tmp_path / "whole.npz") as whole:
+            fields = dict(whole)
+    else:
+        with h5py.File(tmp_path / "whole.h5") as whole:
+            fields = {name: item[()] for name, item in whole.items()}
+    parts = np.stack([echoes.data.real, echoes.data.imag], axis=-1)
+    fields |= {"data": np.asarray(parts, dtype=kind, order=order), "waveform": np.tile([1.0, 0.0], (5, 1))}
+    path = tmp_path / f"parts{suffix}"
+    if suffix == ".npz":
+        np.savez(path, **fields)
+    else:
+        with h5py.File(path, "w") as made:
+            for name, value in fields.items():
+                made[name] = value
+    found = io.load_echoes(path)
+    assert np.array_equal(found.data, echoes.data) and found.data.dtype == np.dtype(
+        kind.replace("f4", "c8").replace("f8", "c16")
+    )
+    assert np.array_equal(found.pulse, np.ones(5))
+    fields["data"] = parts[..., :1]
+    if suffix == ".npz":
+        np.savez(path, **fields)
+        with pytest.raises(ValueError, match="data: found float"):
+            io.load(path)
+
+
+def test_complex_samples_are_the_compound_that_others_take_for_complex(tmp_path: Path) -> None:
+    """h5py's documentation: "complex numbers are represented as compound types with fields r and i"."""
+    io.save(tmp_path / "a.h5", survey())
+    with h5py.File(tmp_path / "a.h5") as file:
+        kind = file["data"].id.get_type()
+        assert [kind.get_member_name(i) for i in range(kind.get_nmembers())] == [b"r", b"i"]
+        assert kind.get_member_type(0).get_size() == 4 and kind.get_size() == 8
+
+
+def test_files_open_as_netcdf(tmp_path: Path) -> None:
+    netcdf = pytest.importorskip("netCDF4")
+    echoes = survey()
+    io.save(tmp_path / "a.h5", echoes)
+    with netcdf.Dataset(tmp_path / "a.h5", auto_complex=True) as file:
+        assert np.array_equal(file["data"][...], echoes.data) and np.array_equal(file["tx"][...], echoes.tx)

@@ -17,12 +17,12 @@ import pysas
 from pysas import cli, comparison
 
 SPANS = ["--x", "-1:1", "--y", "9:11", "--spacing", "0.5"]
-READS = {"raw", "grid", "points", "file"}
+READS = {"raw", "grid", "depth_map", "points", "file"}
 WRITES = {"output", "png"}
 # by command: what it reads, with the arguments that name it, and what it may write
 INPUTS = {
-    "image": {"raw.npz": [], "grid.npz": ["--grid", "grid.npz"], "raw.h5": []},
-    "compare": {"raw.npz": [], "grid.npz": ["--grid", "grid.npz"]},
+    "image": {"raw.npz": [], "grid.npz": ["--grid", "grid.npz"], "map.npz": ["--depth-map", "map.npz"], "raw.h5": []},
+    "compare": {"raw.npz": [], "grid.npz": ["--grid", "grid.npz"], "map.npz": ["--depth-map", "map.npz"]},
     "simulate": {"points.csv": ["--points", "points.csv"]},
 }
 OUTPUTS = {
@@ -46,6 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("raw.npz", "raw.h5"):
         pysas.save(name, raw)
     pysas.save("grid.npz", pysas.Image(np.ones(grid.shape, np.complex64), grid, pysas.Report("given"), 1e5, 1500.0))
+    np.savez("map.npz", x=np.array([-9.0, 9]), y=np.array([0.0, 20]), z=np.zeros((2, 2)))
     Path("points.csv").write_text("0,10,0,1\n")
     return tmp_path
 

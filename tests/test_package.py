@@ -90,9 +90,15 @@ def test_import_loads_no_optional_library() -> None:
 
 def test_import_loads_nothing_that_is_not_asked_for() -> None:
     """Names are loaded when they are used."""
-    code = "import sys, pysas; print(*{'scipy', 'numba', 'matplotlib'} & set(sys.modules)); pysas.Grid, pysas.reference"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert run.stdout.split() == []
+    heavy = "print(*{'scipy', 'numba', 'matplotlib'} & set(sys.modules))"
+    for some in ("pysas", "pysas.cli; pysas.Echoes, pysas.Grid, pysas.Beam, pysas.load"):
+        code = f"import sys, {some}; {heavy}; pysas.Grid, pysas.reference"
+        run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+        assert run.stdout.split() == []
+
+
+def test_what_is_shown_is_what_is_public() -> None:
+    assert [name for name in dir(pysas) if not name.startswith("_")] == sorted(pysas.__all__)
 
 
 def test_names_may_be_asked_for_by_several_threads_at_once() -> None:

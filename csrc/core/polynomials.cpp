@@ -32,10 +32,10 @@ double fit(std::vector<double>& out, int count, const std::function<double(doubl
 
 double fit_trigonometry(int terms, std::vector<double>& sine, std::vector<double>& cosine) {
     const auto root = [](double q) { return std::sqrt(q); };
-    const double s = fit(
-        sine, terms, [&](double q) { return q > 0 ? std::sin(2 * pi * root(q)) / root(q) : 2 * pi; }, root);
-    const double c = fit(
-        cosine, terms + 1, [&](double q) { return std::cos(2 * pi * root(q)); }, [](double) { return 1.0; });
+    const double s =
+        fit(sine, terms, [&](double q) { return q > 0 ? std::sin(2 * pi * root(q)) / root(q) : 2 * pi; }, root);
+    const double c =
+        fit(cosine, terms + 1, [&](double q) { return std::cos(2 * pi * root(q)); }, [](double) { return 1.0; });
     return std::max(s, c);
 }
 

@@ -58,7 +58,7 @@ void drifts(const LeafJob& job, const Trace& trace, LeafPlaces& at, double ratio
     // half an interval: positions are counted from the intervals' middles
     const double origin =
         static_cast<double>(job.image->i0 + job.begin) - ((trace.t0 * model.fs + trace.kept) * model.rate + 0.5);
-    const double(*fit)[max_nodes] = job.tree->nodes.fit;
+    const double (*fit)[max_nodes] = job.tree->nodes.fit;
     for (int r = 0; r < job.rows; r += D::n) {
         D::vec value[5];
         for (int j = 0; j < 5; ++j) {
@@ -170,8 +170,8 @@ void add_run(const float* planes, std::int64_t stride, const Phase<V, 6>& phase,
              int s, int first, int last, typename V::vec lane, float* re, float* im) {
     typename V::vec c[2 * (D + 1)];
     for (int i = 0; i < 2 * (D + 1); ++i) c[i] = V::load(planes + i * stride);
-    const float(*position)[tile_rows] = drift.position[s];
-    const float(*factor)[tile_rows] = drift.factor[s];
+    const float (*position)[tile_rows] = drift.position[s];
+    const float (*factor)[tile_rows] = drift.factor[s];
     const auto round = V::set(magic<float>());
     for (int r = first; r < last; ++r) {
         const auto moved = V::mul(V::fma(V::set(position[2][r]), lane, V::set(position[1][r])), lane);

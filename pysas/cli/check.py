@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
-from pysas.cli.common import Command, Progress, load_echoes
+from pysas.cli.common import Command, Progress
+from pysas.formats import io
 from pysas.signal.inspection import inspect
 
 
@@ -15,7 +16,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 if anything fails."""
-    findings = inspect(load_echoes(arguments.file))
+    findings = inspect(io.load_echoes(arguments.file))
     failed = any(finding.state == "FAIL" for finding in findings)
     if arguments.json:
         rows = [{"check": f.name, "state": f.state, "text": f.text} for f in findings]

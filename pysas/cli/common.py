@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pysas import plot
-from pysas.formats import files, io
+from pysas import _checks, plot
+from pysas.formats import depth_maps, files, io
 from pysas.formats.containers import container
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
-from pysas.model.image import Image
 from pysas.planning import framing
+from pysas.planning.relief import laid_over
 
 
 class Progress:
@@ -69,12 +69,22 @@ def add_overwrite(sub: argparse.ArgumentParser) -> None:
 
 
 def add_scene(sub: argparse.ArgumentParser) -> None:
-    """A file of echoes and where they are imaged, for `chosen_grid`, and how."""
+    """A file of echoes and where they are imaged, for `read` and `chosen_grid`, and how."""
     sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
-    sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="along-track span, m")
-    sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="across-track span, m")
-    sub.add_argument("--z", type=float, metavar="Z", help="height of the imaged plane, m (default: 0)")
-    sub.add_argument("--spacing", type=float, metavar="S", help="pixel spacing, m (default: half the resolution)")
+    sub.add_argument("--c", type=float, metavar="C", help="sound speed, m/s (default: the file's)")
+    sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
+    sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
+    seabed = sub.add_mutually_exclusive_group()
+    seabed.add_argument(
+        "--z", type=float, metavar="Z", help="z of the seabed, m (default: by the file's altitude, else the sonar's own)"
+    )
+    seabed.add_argument("--altitude", type=float, metavar="A", help="height of the sonar over the seabed, m")
+    seabed.add_argument("--depth-map", metavar="FILE", help="z of the seabed at x, y: .npz, .h5, or text of x, y, z")
+    sub.add_argument(
+        "--spacing", type=_spacing, metavar="A [B]", help="pixel spacing along x, and along y, m (default: half the resolution)"
+    )
+    sub.add_argument("--side", choices=framing.SIDES, help="of the track that is imaged (default: where the beam looks)")
+    sub.add_argument("--large", action="store_true", help=f"allow more than {framing.MOST:.2g} pixels")
     sub.add_argument("--grid", metavar="FILE", help="use the grid of this image file instead")
     sub.add_argument("--png", metavar="FILE", help="picture to write (needs matplotlib)")
     add_overwrite(sub)
@@ -92,12 +102,21 @@ def _span(text: str) -> tuple[float, float]:
     return low, high
 
 
-def load_echoes(path: str) -> Echoes:
-    """Echoes from a file; ValueError where it holds an image."""
-    item = io.load(path)
-    if not isinstance(item, Echoes):
-        raise ValueError(f"{path}: found an image, expected echoes")
-    return item
+def _spacing(text: str) -> tuple[float, float]:
+    """One number, or two with a comma between them, which `program` has joined."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in (1, 2):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected metres, along x and along y")
+    return found[0], found[-1]
+
+
+def read(arguments: argparse.Namespace) -> Echoes:
+    """Echoes of the file that `add_scene` names, with the sound speed that it asks for."""
+    echoes = io.load_echoes(arguments.raw)
+    return echoes if arguments.c is None else echoes.replace(c=_checks.number("--c", arguments.c, positive=True))
 
 
 def silenced(echoes: Echoes) -> Echoes:
@@ -114,26 +133,50 @@ def silenced(echoes: Echoes) -> Echoes:
 def chosen_grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, str]:
     """The grid that the options of `add_scene` ask for, and how it came about."""
     if arguments.grid is not None:
-        if any(value is not None for value in (arguments.x, arguments.y, arguments.z, arguments.spacing)):
-            raise ValueError("--grid: expected without --x, --y, --z and --spacing")
-        item = io.load(arguments.grid)
-        if not isinstance(item, Image):
-            raise ValueError(f"--grid {arguments.grid}: found echoes, expected an image")
-        return item.grid, f"grid of {arguments.grid}"
-    z = 0.0 if arguments.z is None else arguments.z
-    if arguments.x is not None and arguments.y is not None and arguments.spacing is not None:
-        axes = [framing.span(limits[0], limits[1], arguments.spacing) for limits in (arguments.x, arguments.y)]
+        names = ("x", "y", "z", "altitude", "depth_map", "spacing", "side")
+        given = [f"--{name.replace('_', '-')}" for name in names if getattr(arguments, name) is not None]
+        if given:
+            raise ValueError(f"--grid {arguments.grid}: expected without {', '.join(given)}")
+        return io.load_image(arguments.grid).grid, f"grid of {arguments.grid}"
+    relief = None if arguments.depth_map is None else depth_maps.load(arguments.depth_map)
+    if relief is not None:
+        z, why = float(np.median(relief[2])), f"z of {arguments.depth_map}"
+    elif arguments.z is not None:
+        z, why = arguments.z, f"z = {arguments.z:g} m"
+    else:
+        z, why = framing.assumed_height(echoes, arguments.altitude)
+        if arguments.altitude is None and "altitude" not in echoes.attrs and framing.height_matters(echoes):
+            warnings.warn(why, stacklevel=2)
+    grid, how = _spanned(arguments, echoes, z)
+    if relief is not None:
+        grid = laid_over(grid, *relief)
+    return grid, f"{how}; {why}"
+
+
+def _spanned(arguments: argparse.Namespace, echoes: Echoes, z: float) -> tuple[Grid, str]:
+    """A plane over the spans asked for, or the survey."""
+    spacing = arguments.spacing
+    if arguments.x is not None and arguments.y is not None and spacing is not None:
+        axes = [framing.span(low, high, step) for (low, high), step in zip((arguments.x, arguments.y), spacing, strict=True)]
         return Grid.plane(axes[0], axes[1], z), "given spans"
-    grid, how = framing.default_grid(echoes, z, arguments.spacing)
     if arguments.x is None and arguments.y is None:
-        return grid, how
+        return framing.default_grid(echoes, z, spacing, arguments.side, arguments.large)
+    grid, how = framing.default_grid(echoes, z, spacing, arguments.side, large=True)
+    if grid.turned and (arguments.x is None or arguments.y is None):
+        raise ValueError(f"--x, --y: the survey's own axes are turned, {how}: expected both, on the axes of the data")
     axes = []
-    for name, limits in (("x", arguments.x), ("y", arguments.y)):
+    for number, (name, limits) in enumerate((("x", arguments.x), ("y", arguments.y))):
         axis = grid.axes[name]
-        step = arguments.spacing
+        step = None if spacing is None else spacing[number]
         if step is None:  # an axis of one pixel has no step: the other's will do
             step = float(np.diff(axis if axis.size > 1 else grid.axes["y" if name == "x" else "x"])[0])
         axes.append(axis if limits is None else framing.span(limits[0], limits[1], step))
+    pixels = axes[0].size * axes[1].size
+    if pixels > framing.MOST and not arguments.large:
+        found = f"{axes[0].size} x {axes[1].size} = {pixels:.3g} pixels"
+        raise ValueError(
+            f"the spans have {found}: expected at most {framing.MOST:.2g}: a larger --spacing, or --large to allow it"
+        )
     return Grid.plane(axes[0], axes[1], z), f"given spans, else {how}"
 
 

@@ -17,11 +17,10 @@ from pysas.cli.common import (
     add_overwrite,
     add_threads,
     has_matplotlib,
-    load_echoes,
     require_places,
     write_text,
 )
-from pysas.cli.image import described, imaged
+from pysas.cli.image import Choices, described, imaged
 from pysas.formats import files, io
 
 
@@ -46,8 +45,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     png = str(folder / "image.png") if with_picture else None
     require_places([read], data=output, picture=png, overwrite=arguments.overwrite)
     picture, echoes, summary = imaged(
-        read, load_echoes(read), demo_scene.grid(), "given grid", progress, threads=arguments.threads, output=output, png=png,
-        overwrite=arguments.overwrite,
+        read, io.load_echoes(read), demo_scene.grid(), "given grid", progress, Choices(threads=arguments.threads, truth=True),
+        output=output, png=png, overwrite=arguments.overwrite,
     )  # fmt: skip
     progress.step("checking")
     pixels = np.random.default_rng(0).choice(picture.grid.size, 200, replace=False)

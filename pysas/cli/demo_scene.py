@@ -67,6 +67,7 @@ def echoes(
         attrs={
             "title": "pysas demo: six receivers, swaying track, targets and a textured seabed",
             "axes": "x along-track, y across-track, z up; seabed z = 0",
+            "altitude": _DEPTH,
             "truth_position": points[:targets],
             "truth_amplitude": amplitudes[:targets].real,
         },

@@ -3,50 +3,111 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pysas import metrics, plot
-from pysas.cli.common import Command, Progress, add_scene, chosen_grid, load_echoes, require_places, silenced
+from pysas import _checks, metrics, plot
+from pysas.cli.common import Command, Progress, add_scene, chosen_grid, has_matplotlib, read, require_places, silenced
 from pysas.engine import BACKENDS
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
+from pysas.model.pulse import LFM
+from pysas.planning.scene import UNIFORM
 from pysas.signal import compression
+
+
+@dataclass(frozen=True)
+class Choices:
+    """How echoes are compressed, imaged and drawn. `truth` : whether targets that the file knows of are looked for."""
+
+    tol: float = 1e-3
+    method: str = "auto"
+    backend: str = "auto"
+    nan: str = "raise"
+    threads: int | None = None
+    window: str | tuple[Any, ...] | None = None
+    weights: str | None = None
+    dynamic_range: float = 40.0
+    reference: str | float = "peak"
+    truth: bool = False
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
     sub.add_argument("-o", "--output", metavar="IMAGE", help="image file to write (.npz, .h5)")
-    sub.add_argument("--tol", type=float, default=1e-3, help="relative error to keep (default: 1e-3)")
+    sub.add_argument("--tol", type=float, default=Choices.tol, help="relative error to keep (default: 1e-3)")
     sub.add_argument(
         "--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto: the faster, by prediction"
     )
     sub.add_argument("--backend", choices=BACKENDS, default="auto")
+    sub.add_argument(
+        "--window",
+        type=_window,
+        metavar="NAME",
+        help="spectral window against side lobes in range: hann, taylor, kaiser:8.6 ...",
+    )
+    sub.add_argument("--weights", choices=(UNIFORM,), help="weigh pings by the view angles they stand for")
+    sub.add_argument(
+        "--dynamic-range", type=float, default=Choices.dynamic_range, metavar="DB", help="of the picture (default: 40)"
+    )
+    sub.add_argument(
+        "--reference",
+        type=_reference,
+        default="peak",
+        metavar="WHAT",
+        help="0 dB of the picture: peak, percentile, or a level in dB",
+    )
+    sub.add_argument("--truth", action="store_true", help="find and mark the targets that the file knows of")
+
+
+def _window(text: str) -> str | tuple[Any, ...]:
+    name, *parameters = text.split(":")
+    try:
+        return (name, *(float(value) for value in parameters)) if parameters else name
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME or NAME:PARAMETER") from None
+
+
+def _reference(text: str) -> str | float:
+    if text in ("peak", "percentile"):
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected peak, percentile or a number of dB") from None
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
-    """1 where not one term was summed."""
-    if arguments.output is None and arguments.png is None and not arguments.json:
-        raise ValueError("nothing to write: expected -o IMAGE, --png FILE or --json")
-    require_places([arguments.raw, arguments.grid], data=arguments.output, picture=arguments.png, overwrite=arguments.overwrite)
-    echoes = load_echoes(arguments.raw)
+    """1 where the image is empty."""
+    output, png = arguments.output, arguments.png
+    if output is None and png is None and not arguments.json:
+        name = f"{Path(arguments.raw).stem}_image"
+        output, png = f"{name}.npz", f"{name}.png" if has_matplotlib() else None
+    inputs = [arguments.raw, arguments.grid, arguments.depth_map]
+    require_places(inputs, data=output, picture=png, overwrite=arguments.overwrite)
+    echoes = read(arguments)
     grid, how = chosen_grid(arguments, echoes)
+    names = [field.name for field in dataclasses.fields(Choices)]
+    choices = Choices(**{name: getattr(arguments, name) for name in names})
     picture, _, summary = imaged(
-        arguments.raw, echoes, grid, how, progress, tol=arguments.tol, method=arguments.method, backend=arguments.backend,
-        nan=arguments.nan, threads=arguments.threads, output=arguments.output, png=arguments.png,
-        overwrite=arguments.overwrite,
-    )  # fmt: skip
+        arguments.raw, echoes, grid, how, progress, choices, output=output, png=png, overwrite=arguments.overwrite
+    )
     print(json.dumps(summary) if arguments.json else described(picture, summary))
-    return int(picture.report.terms == 0)
+    if arguments.output is None and output is not None and png is None:
+        print("no picture: pip install 'pysas-sonar[plot]'")
+    return int(not picture.data.any())
 
 
-COMMAND = Command("image", "image echoes from a file", _add_arguments, _run)
+COMMAND = Command("image", "image echoes from a file, raw or compressed; write an image and a picture", _add_arguments, _run)
 
 
 def imaged(
@@ -55,12 +116,8 @@ def imaged(
     grid: Grid,
     how: str,
     progress: Progress,
+    choices: Choices,
     *,
-    tol: float = 1e-3,
-    method: str = "auto",
-    backend: str = "auto",
-    nan: str = "raise",
-    threads: int | None = None,
     output: str | None = None,
     png: str | None = None,
     overwrite: bool = False,
@@ -69,28 +126,40 @@ def imaged(
 
     `how` : the grid came about.
     """
-    seconds = {}
+    tol, threads = choices.tol, choices.threads
+    _checks.number("--dynamic-range", choices.dynamic_range, positive=True)
+    if echoes.compressed and choices.window is not None:
+        raise ValueError(f"--window {choices.window}: {raw} is range-compressed already: expected raw echoes")
     # planned first: what cannot be met is said before anything is compressed
-    chosen = plan_ahead(echoes, grid, tol, method, threads, backend, nan)
+    chosen = plan_ahead(echoes, grid, tol, choices.method, threads, choices.backend, choices.nan, choices.weights)
+    seconds, compressed = {}, None
     if not echoes.compressed:
         clock = time.perf_counter()
-        if nan == "mask":
+        if choices.nan == "mask":
             echoes = silenced(echoes)
-        echoes = compression.compress(echoes, threads=threads, progress=progress.step("compressing"))
+        compressed = f"matched filter of {_pulse(echoes)}, window {choices.window or 'none'}"
+        echoes = compression.compress(echoes, choices.window, threads=threads, progress=progress.step("compressing"))
         seconds["compress"] = time.perf_counter() - clock
     picture = chosen(echoes.data, progress=progress.step("imaging"))
     seconds |= {"prepare": picture.report.prepare_seconds, "sum": picture.report.sum_seconds}
-    targets = _targets(picture, echoes)
+    targets = _targets(picture, echoes) if choices.truth else []
     if output is not None:
         io.save(output, picture, overwrite=overwrite)
     if png is not None:
         marks = [target["true"] for target in targets]
-        plot.quicklook(picture, png, targets=marks or None, overwrite=overwrite)
+        plot.quicklook(
+            picture, png, dynamic_range=choices.dynamic_range, reference=choices.reference, targets=marks or None,
+            overwrite=overwrite,
+        )  # fmt: skip
     summary = {
-        "raw": raw, "image": output, "png": png, "grid": how, "shape": list(grid.shape), "tol": tol,
-        "report": picture.report.as_dict(), "seconds": seconds, "targets": targets,
+        "raw": raw, "compressed": compressed, "image": output, "png": png, "grid": how, "shape": list(grid.shape), "tol": tol,
+        "c": echoes.c, "report": picture.report.as_dict(), "seconds": seconds, "targets": targets,
     }  # fmt: skip
     return picture, echoes, summary
+
+
+def _pulse(echoes: Echoes) -> str:
+    return str(echoes.pulse) if isinstance(echoes.pulse, LFM) else "the sampled pulse"
 
 
 def _targets(picture: Image, echoes: Echoes) -> list[dict[str, Any]]:
@@ -100,35 +169,41 @@ def _targets(picture: Image, echoes: Echoes) -> list[dict[str, Any]]:
     if truth is None or grid.kind != "plane":
         return []
     positions = np.asarray(truth, dtype=np.float64)
+    places = grid.along_axes(positions)
     x, y = grid.axes["x"], grid.axes["y"]
     margin = echoes.range_resolution
     found = []
-    for position in positions:
+    for position, place in zip(positions, places, strict=True):
         if abs(position[2] - float(np.asarray(grid.height))) > 1e-3:
             continue
-        if not (x.min() + margin < position[0] < x.max() - margin and y.min() + margin < position[1] < y.max() - margin):
+        if not (x.min() + margin < place[0] < x.max() - margin and y.min() + margin < place[1] < y.max() - margin):
             continue
         others = np.linalg.norm(positions - position, axis=1)
         apart = others[others > 0]
         radius = min(1.5 * margin, 0.5 * float(apart.min())) if apart.size else 1.5 * margin
         try:
-            peak = metrics.peak_position(picture, near=(float(position[0]), float(position[1])), radius=radius)
+            peak = metrics.peak_position(picture, near=(float(place[0]), float(place[1])), radius=radius)
         except ValueError:
             continue  # no pixel within the radius: the grid is too coarse to say
-        error = float(np.hypot(peak[0] - position[0], peak[1] - position[1]))
-        found.append({"true": position.tolist(), "found": [float(v) for v in peak], "error_mm": 1e3 * error})
+        at = Grid.plane([peak[0]], [peak[1]], origin=grid.origin, rotation=grid.rotation).coordinates()[0, :2]
+        error = float(np.linalg.norm(at - position[:2]))
+        found.append({"true": position.tolist(), "found": at.tolist(), "error_mm": 1e3 * error})
     return found
 
 
 def described(picture: Image, summary: dict[str, Any]) -> str:
-    """The image, its files and its targets, for the reader."""
-    lines = [repr(picture), f"  grid       {summary['grid']}"]
+    """The image, its files and how its targets were met, for the reader."""
+    lines = [repr(picture), f"  chosen     {summary['grid']}"]
+    if summary["compressed"]:
+        lines.append(f"  compressed on the way: {summary['compressed']}")
     lines += [f"  {name + ' written':<10} {summary[name]}" for name in ("image", "png") if summary[name]]
     targets = summary["targets"]
     if targets:
-        lines.append(f"  targets    {len(targets)} in this plane; true x, y, z; found x, y; error")
-        for target in targets:
-            (x, y, z), (u, v) = target["true"], target["found"]
-            lines.append(f"    {x:9.4f} {y:9.4f} {z:8.3f}  {u:10.5f} {v:10.5f}  {target['error_mm']:7.3f} mm")
-        lines.append(f"    largest error {max(target['error_mm'] for target in targets):.3f} mm")
+        worst = max(targets, key=lambda target: float(target["error_mm"]))
+        middle = float(np.median([target["error_mm"] for target in targets]))
+        x, y, z = worst["true"]
+        lines.append(
+            f"  targets    {len(targets)} in this plane, found within {worst['error_mm']:.3f} mm (at x {x:.3f}, y {y:.3f}, "
+            f"z {z:.3f}), the middle one within {middle:.3f} mm"
+        )
     return "\n".join(lines)

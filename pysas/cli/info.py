@@ -1,4 +1,4 @@
-"""`pysas info`: what a file holds, and the plan for its default grid."""
+"""`pysas info`: what a file holds, where it was sailed, and what imaging it would give and cost."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import argparse
 import json
 from typing import Any
 
+import numpy as np
+
+from pysas._checks import FloatArray
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
+from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.planning import framing
 
@@ -16,7 +20,7 @@ from pysas.planning import framing
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("file", metavar="FILE")
     sub.add_argument("--tol", type=float, default=1e-3)
-    sub.add_argument("--plan", action="store_true", help="also what the plan leaves out, its errors, and alternatives")
+    sub.add_argument("--plan", action="store_true", help="also how the engine would go about it, its errors, and alternatives")
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
@@ -25,24 +29,64 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         values: dict[str, Any] = {"kind": "image", "shape": list(item.data.shape), "report": item.report.as_dict()}
         text = repr(item)
     else:
-        near, far = item.swath
-        values = {
-            "kind": "echoes", "shape": list(item.data.shape), "dtype": str(item.dtype), "compressed": item.compressed,
-            "fs": item.fs, "fc": item.fc, "c": item.c, "bandwidth": item.occupied_bandwidth, "swath": [near, far],
-            "range_resolution": item.range_resolution, "phase_centre_spacing": list(item.phase_centre_spacing()),
-            "warnings": item.warnings(),
-        }  # fmt: skip
-        try:
-            grid, how = framing.default_grid(item)
-            chosen = plan_ahead(item, grid, arguments.tol)
-            summary = chosen.explain() if arguments.plan else str(chosen)
-        except ValueError as error:  # what the file holds is worth seeing where it cannot be imaged so
-            how, summary = "none", f"no plan: {error}"
-        values |= {"grid": how, "plan": summary}
-        title = item.attrs.get("title")
-        text = "\n".join([repr(item)] + ([f"  title      {title}"] if title else []) + [f"default grid: {how}", summary])
+        values, text = _of_echoes(item, arguments.tol, arguments.plan)
     print(json.dumps(values) if arguments.json else text)
     return 0
 
 
-COMMAND = Command("info", "what a file holds and what the planner would do", _add_arguments, _run)
+def _of_echoes(echoes: Echoes, tol: float, explained: bool) -> tuple[dict[str, Any], str]:
+    near, far = echoes.swath
+    track = framing.course_of(echoes)
+    tx, rx = (_extents(places) for places in (echoes.tx, echoes.receivers))
+    along = framing.along_track_resolution(echoes)
+    values = {
+        "kind": "echoes", "shape": list(echoes.data.shape), "dtype": str(echoes.dtype), "compressed": echoes.compressed,
+        "fs": echoes.fs, "fc": echoes.fc, "c": echoes.c, "bandwidth": echoes.occupied_bandwidth, "swath": [near, far],
+        "range_resolution": echoes.range_resolution, "along_track_resolution": along,
+        "phase_centre_spacing": list(echoes.phase_centre_spacing()), "track": {"tx": tx, "rx": rx, "closed": track.closed,
+        "direction": float(np.degrees(track.rotation))}, "warnings": echoes.warnings(),
+    }  # fmt: skip
+    title = echoes.attrs.get("title")
+    lines = [repr(echoes)] + ([f"  title      {title}"] if title else [])
+    lines += [f"  {name:<10} {_spans(extents)}" for name, extents in (("tx", tx), ("rx", rx))]
+    lines.append(
+        f"  direction  {'closed' if track.closed else f'{np.degrees(track.rotation):.3f} deg from x towards y'}, "
+        f"sonar at z = {track.height:.10g} m"
+    )
+    lines.append(f"  resolution {100 * echoes.range_resolution:.3g} cm in slant range, {100 * along:.3g} cm along the track")
+    try:
+        z, why = framing.assumed_height(echoes)
+        grid, how = framing.default_grid(echoes, z)
+        chosen = plan_ahead(echoes, grid, tol)
+    except ValueError as error:  # what the file holds is worth seeing where it cannot be imaged so
+        return values | {"grid": "none", "plan": f"no plan: {error}"}, "\n".join([*lines, f"no plan: {error}"])
+    low, high = np.array([[axis.min(), axis.max()] for axis in grid.axes.values()]).T
+    seconds = chosen.predicted_seconds
+    lines += [
+        f"default image, {grid.shape[1]} x {grid.shape[0]} pixels",
+        f"  chosen     {how}",
+        f"  extents    {_spans([low.tolist(), high.tolist()])}",
+        f"  height     {why}",
+        f"  time       about {seconds:.2g} s by {chosen.method} on {chosen.threads} threads, at tol {tol:g}",
+    ]
+    summary = chosen.explain() if explained else ""
+    values |= {"grid": f"{how}; {why}", "grid_shape": list(grid.shape), "grid_extents": [low.tolist(), high.tolist()],
+               "seconds": seconds, "method": chosen.method, "plan": summary}  # fmt: skip
+    return values, "\n".join([*lines, summary] if explained else lines)
+
+
+def _extents(places: FloatArray) -> list[list[float]]:
+    flat = places.reshape(-1, 3)
+    return [flat.min(axis=0).tolist(), flat.max(axis=0).tolist()]
+
+
+def _spans(extents: list[list[float]]) -> str:
+    return (
+        ", ".join(
+            f"{name} {round(low, 3):.10g} to {round(high, 3):.10g}" for name, low, high in zip("xyz", *extents, strict=False)
+        )
+        + " m"
+    )
+
+
+COMMAND = Command("info", "what a file holds: track, ranges, resolution, and the image it would give", _add_arguments, _run)

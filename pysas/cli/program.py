@@ -3,33 +3,51 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from pysas import __version__
-from pysas.cli import check, compare, demo, image, info, simulation
-from pysas.cli.common import Progress
+from pysas import __version__, _checks
+from pysas.cli.common import Command, Progress
 
 _ERROR, _INTERRUPTED = 2, 130
+# and their modules
 _COMMANDS = {
-    command.name: command
-    for command in (demo.COMMAND, image.COMMAND, compare.COMMAND, simulation.COMMAND, info.COMMAND, check.COMMAND)
-}
+    "demo": "demo", "image": "image", "compare": "compare", "simulate": "simulation", "info": "info", "check": "check",
+}  # fmt: skip
+
+
+def _command(name: str) -> Command:
+    """A command by its name; its module is loaded when it is asked for."""
+    command = importlib.import_module(f"pysas.cli.{_COMMANDS[name]}").COMMAND
+    if not isinstance(command, Command):
+        raise _checks.InternalError(f"{name}: no command")
+    return command
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
-    """`--x -1:1` as `--x=-1:1`: argparse takes a value that begins with a minus for an option."""
+    """`--x -1:1` as `--x=-1:1`, as argparse takes a value that begins with a minus for an option; `--spacing A B` as A,B."""
     joined: list[str] = []
     for argument in argv:
-        if joined and joined[-1] in ("--x", "--y", "--z") and argument.startswith("-"):
+        if joined and joined[-1] in ("--x", "--y", "--z", "--reference") and argument.startswith("-"):
             joined[-1] += f"={argument}"
+        elif joined[-2:-1] == ["--spacing"] and _is_number(joined[-1]) and _is_number(argument):
+            joined[-1] += f",{argument}"
         else:
             joined.append(argument)
     return joined
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 class _Parser(argparse.ArgumentParser):
@@ -37,12 +55,12 @@ class _Parser(argparse.ArgumentParser):
         self.exit(_ERROR, f"pysas: error: {message}\n")
 
 
-def parser() -> argparse.ArgumentParser:
-    """All commands and their options."""
+def parser(names: Iterable[str] = _COMMANDS) -> argparse.ArgumentParser:
+    """Commands, all of them by default, and their options."""
     top = _Parser(prog="pysas", description="Images synthetic aperture sonar data and keeps the error you ask for.")
     top.add_argument("--version", action="version", version=f"pysas {__version__}")
     subparsers = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
-    for command in _COMMANDS.values():
+    for command in map(_command, names):
         sub = subparsers.add_parser(command.name, help=command.text, description=command.text)
         sub.add_argument("--json", action="store_true", help="one JSON object on standard output")
         command.add_arguments(sub)
@@ -50,8 +68,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code (0 well, 1 a failed check or an image of nothing, 2 an error, 130 Ctrl-C)."""
-    arguments = parser().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+    """Run a command; returns the exit code (0 well, 1 a failed check or an empty image, 2 an error, 130 Ctrl-C)."""
+    given = _joined(sys.argv[1:] if argv is None else argv)
+    arguments = parser([name for name in given[:1] if name in _COMMANDS] or _COMMANDS).parse_args(given)
 
     def warn(message: Any, *_: Any, **__: Any) -> None:
         print(f"pysas: warning: {message}", file=sys.stderr)
@@ -62,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.simplefilter("always")
         warnings.showwarning = warn
         try:
-            code = _COMMANDS[arguments.command].run(arguments, Progress(arguments.json))
+            code = _command(arguments.command).run(arguments, Progress(arguments.json))
             if sys.stdout is not None:  # closed by the caller
                 sys.stdout.flush()
             return code

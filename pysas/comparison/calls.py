@@ -23,6 +23,7 @@ def methods(
     tols: Sequence[float] = TOLS,
     *,
     raw: Echoes | None = None,
+    line: Echoes | None = None,
     half_angle: float | None = None,
     fewer: bool = False,
     threads: int | None = None,
@@ -39,6 +40,9 @@ def methods(
         Of the engines; may be empty.
     raw : Echoes, optional
         The same before compression, for chirp scaling.
+    line : Echoes, optional
+        What omega-k, range-Doppler and one-way migration image, such as `reference.phase_centres(echoes)`, range-compressed.
+        Default: `echoes`.
     half_angle : float, optional
         Of `reference.one_way`, rad.
     fewer : bool
@@ -52,23 +56,24 @@ def methods(
         For `compare`. Nothing is computed here, and nothing checked.
     """
     found: dict[tuple[str, str], Call] = {}
+    line = echoes if line is None else line
     for name, engine in _ENGINES.items():
         for tol in tols:
             found[name, f"tol {tol:g}"] = partial(engine, echoes, grid, tol, threads=threads)
     settings = [("sinc", 2), ("cubic", 2), ("linear", 2), ("linear", 8)]
     for interpolation, padding in settings if fewer else [*settings, ("linear", 1), ("linear", 4)]:
         found["omega-k", f"{interpolation}, zp {padding}"] = partial(
-            reference.omega_k, echoes, interpolation=interpolation, zero_padding=padding, weight="backprojection",
+            reference.omega_k, line, interpolation=interpolation, zero_padding=padding, weight="backprojection",
             threads=threads,
         )  # fmt: skip
     for interpolation in ("sinc", "linear"):
         found["range-Doppler", interpolation] = partial(
-            reference.range_doppler, echoes, interpolation=interpolation, threads=threads
+            reference.range_doppler, line, interpolation=interpolation, threads=threads
         )
     found["chirp scaling", "raw echoes"] = partial(_chirp_scaling, raw, threads)
     for angle in (45,) if fewer else (15, 45, 65):
         found["one-way", f"{angle} degrees"] = partial(
-            reference.one_way, echoes, angle=angle, weight="backprojection", half_angle=half_angle, threads=threads
+            reference.one_way, line, angle=angle, weight="backprojection", half_angle=half_angle, threads=threads
         )
     for method in ("nufft",) if fewer else ("nufft", "gridding", "frame", "ftcg"):
         for error in (1e-1,) if fewer or method != "nufft" else (1e-1, 1e-2):

@@ -82,10 +82,25 @@ class File:
     """An open file: `fields` gives the shape and dtype that each field declares, found to agree with its bytes."""
 
     fields: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
+    pairs: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]  # what fields declare that are taken as complex
 
     def read(self, name: str) -> Array:
         """The field's entries."""
+        if name not in self.pairs:
+            return self._read(name, *self.fields[name])
+        parts = np.ascontiguousarray(self._read(name, *self.pairs[name]))
+        return np.asarray(parts.view(self.fields[name][1])[..., 0])
+
+    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         raise NotImplementedError
+
+    def take_pairs(self, names: Iterable[str]) -> None:
+        """Take real fields of these names as complex whose last axis is real and imaginary part, as some programs write."""
+        for name in names:
+            shape, dtype = self.fields.get(name, ((), np.dtype(object)))
+            if dtype.kind == "f" and len(shape) > 1 and shape[-1] == 2:
+                self.pairs[name] = shape, dtype
+                self.fields[name] = shape[:-1], np.dtype(f"{dtype.str[0]}c{2 * dtype.itemsize}")
 
     def text(self, name: str) -> str:
         """A string field."""
@@ -149,7 +164,7 @@ class _Npz(File):
         self._archive, self._size = archive, size
         self._members: dict[str, zipfile.ZipInfo] = {}
         self._start: dict[str, tuple[int, bool]] = {}
-        self.fields = {}
+        self.fields, self.pairs = {}, {}
         for info in archive.infolist():
             name = info.filename.removesuffix(".npy")
             if name in self._members:
@@ -179,8 +194,7 @@ class _Npz(File):
         self.fields[name] = shape, dtype
         self._start[name] = start, fortran
 
-    def read(self, name: str) -> Array:
-        shape, dtype = self.fields[name]
+    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         if dtype.hasobject:
             raise ValueError(f"{name}: found {dtype}, expected no Python objects")
         start, fortran = self._start[name]
@@ -216,7 +230,7 @@ def _write_npz(file: IO[bytes], fields: Mapping[str, Array]) -> None:
 class _H5(File):
     def __init__(self, file: Any, size: int) -> None:
         self._file, self._size = file, size
-        self.fields = {}
+        self.fields, self.pairs = {}, {}
         for name in file:
             with _blamed(name):
                 self._describe(name)
@@ -250,8 +264,7 @@ class _H5(File):
                 raise ValueError(f"found {item.id.get_num_chunks()} chunks of {item.chunks}, expected {count} that fit")
         self.fields[name] = item.shape, item.dtype
 
-    def read(self, name: str) -> Array:
-        shape, dtype = self.fields[name]
+    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         item = self._file[name]
         if dtype.kind == "U":  # of a length that only its bytes tell
             with _blamed(name, "damaged"):

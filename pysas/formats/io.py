@@ -1,5 +1,9 @@
 """Files: the schemas "pysas-echoes-1" and "pysas-image-1" in two containers, .npz and .h5 (h5py, extra `hdf5`).
 
+Complex fields of .h5 are compounds of "r" and "i", as h5py and HDF5.jl take for complex, netCDF-4 programs too where they are
+asked to (netCDF4 and xarray with `auto_complex=True`), and MATLAB's h5read gives as a struct. Those that programs write which
+have no such type may be real with a last axis of 2: real and imaginary part.
+
 Reading trusts no size: each field's dtype and shape are taken from its header and compared with the bytes that lie in the
 file, with the schema and with the other fields; then navigation and grid are read and checked, and only then samples or
 pixels are allocated. This module knows no algorithm, `containers` has the bytes, `files` how a file takes its place.
@@ -93,6 +97,7 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     with files.opened(text) as stream:
         try:
             with opened(stream) as file:
+                file.take_pairs(("data", "waveform"))
                 schema = file.text("schema")
                 if schema not in (ECHOES, IMAGE):
                     raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
@@ -105,6 +110,22 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     if unknown:
         warnings.warn(f"{text}: ignored, not in {schema}: {', '.join(unknown)}", stacklevel=2)
     return result
+
+
+def load_echoes(path: str | os.PathLike[str]) -> Echoes:
+    """As `load`, of a file that holds echoes; ValueError where it holds an image."""
+    item = load(path)
+    if not isinstance(item, Echoes):
+        raise ValueError(f"{files.name(path)}: found an image, expected echoes")
+    return item
+
+
+def load_image(path: str | os.PathLike[str]) -> Image:
+    """As `load`, of a file that holds an image; ValueError where it holds echoes."""
+    item = load(path)
+    if not isinstance(item, Image):
+        raise ValueError(f"{files.name(path)}: found echoes, expected an image")
+    return item
 
 
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the
@@ -123,6 +144,7 @@ _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 _ECHO_NEEDS = ("schema", "data", "fs", "fc", "c", "t0", "tx", "rx", "compressed")
 _AXES = {"plane": ("x", "y"), "surface": ("x", "y"), "polar": ("r", "angle"), "volume": ("x", "y", "z"), "points": ()}
+_TURNED = ("plane", "surface")  # may have axes of their own: grid_origin and grid_rotation, where these are not 0
 _MORE_GRID = {"plane": ("height", ""), "surface": ("height", "y x"), "polar": ("centre", "3")}
 
 
@@ -211,6 +233,8 @@ def _image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]
     table |= {"data": ("samples", pixels), "fc": ("real", ""), "c": ("real", ""), "grid_mask": ("bool", pixels)}
     table |= {f"grid_{name}": ("real", name) for name in _AXES[kind]}
     name, wanted = _MORE_GRID.get(kind, ("coords", f"{pixels} 3"))
+    if kind in _TURNED:
+        table |= {"grid_origin": ("real", "2"), "grid_rotation": ("real", "")}
     return table if kind == "volume" else table | {f"grid_{name}": ("real", wanted)}
 
 
@@ -223,6 +247,8 @@ def _image_fields(image: Image) -> dict[str, Array]:
     if grid.kind != "volume":
         name = _MORE_GRID.get(grid.kind, ("coords", ""))[0]
         fields[f"grid_{name}"] = getattr(grid, name)
+    if grid.turned:
+        fields |= {"grid_origin": grid.origin, "grid_rotation": grid.rotation}
     if grid.mask is not None:
         fields["grid_mask"] = grid.mask
     fields["report"] = json.dumps(_plain("report", image.report.as_dict()))
@@ -235,12 +261,12 @@ def _read_image(file: File) -> tuple[Image, set[str]]:
     if kind not in KINDS:
         raise ValueError(f"grid_kind: found {kind!r:.60}, expected one of {', '.join(KINDS)}")
     table = _image_table(kind, file.fields["data"][0] if "data" in file.fields else ())
-    file.check(table, [name for name in table if name != "grid_mask"])
+    file.check(table, [name for name in table if name not in ("grid_mask", "grid_origin", "grid_rotation")])
+    file.together(("grid_origin", "grid_rotation"))
     names = [name for name in table if name.startswith("grid_") and name in file.fields and name != "grid_kind"]
     argument = {"height": "z", "coords": "points"}
     parts = {argument.get(key := name.removeprefix("grid_"), key): file.read(name) for name in names}
-    if kind == "plane":
-        parts["z"] = parts["z"].item()
+    parts |= {name: parts[name].item() for name in ("z", "rotation") if name in parts and parts[name].ndim == 0}
     grid: Grid = getattr(Grid, kind)(**parts)
     report = Report.from_dict(_object("report", file.text("report")))
     return Image(file.read("data"), grid, report, file.read("fc").item(), file.read("c").item()), set(table)

@@ -120,6 +120,8 @@ def _places(grid: Grid, origin: FloatArray) -> interface.Places:
     """Where a grid's pixels lie."""
     if grid.coords is not None:
         return grid.coords.reshape(-1, 3)
+    if grid.turned and grid.kind == "surface":
+        return grid.coordinates()
     if grid.kind == "surface":
         return grid.axes["x"], grid.axes["y"], np.asarray(grid.height)
     return lambda numbers: np.ascontiguousarray(grid.coordinates(numbers) - origin)

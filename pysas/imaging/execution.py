@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Callable
 
@@ -21,6 +22,11 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
     image = np.zeros(plan.grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
     done = plan.by.image(samples, image, plan.nan, progress)
     warned = list(done.warned)
+    if done.totals.terms and not image.any():
+        if plan.grid.mask is not None and plan.scene.dark(done.finite):
+            done = dataclasses.replace(done, totals=dataclasses.replace(done.totals, terms=0))
+        elif not samples.any():
+            warned.append("every sample is 0: image is zero")
     if done.totals.terms == 0:
         warned.append(plan.scene.why_empty(done.finite) or plan.scene.why_dark(done.finite))
     for text in warned:

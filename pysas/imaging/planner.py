@@ -90,13 +90,14 @@ def plan_ahead(
     threads: int | None = None,
     backend: str = "auto",
     nan: str = "raise",
+    weights: str | None = None,
 ) -> Plan:
     """The `plan` of echoes, raw ones too, for what they will be when compressed.
 
     Compression changes samples alone: not their number, rate, type or band, nor the geometry, which is all that a plan is
     made from. The plan takes compressed data.
     """
-    return _plan(echoes, grid, tol, method, threads, backend, nan=nan, raw=True)
+    return _plan(echoes, grid, tol, method, threads, backend, weights, nan, raw=True)
 
 
 def _plan(

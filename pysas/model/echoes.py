@@ -241,6 +241,42 @@ class Echoes:
         fields.update(changes)
         return Echoes(fields.pop("data"), **fields)
 
+    def __getitem__(self, pings: slice | int | npt.ArrayLike) -> Echoes:
+        """Some of the pings, with all that belongs to each: echoes[10:200], echoes[::2], echoes[5], echoes[good].
+
+        Parameters
+        ----------
+        pings : slice, int, or (n,) array of whole numbers or booleans
+            Samples of a slice are shared, not copied; an int keeps one ping.
+
+        Raises
+        ------
+        IndexError, TypeError
+            A ping that is not there; another index.
+        ValueError
+            No ping is left.
+        """
+        which = _chosen("pings", pings, self.n_ping)
+        changes: dict[str, Any] = {name: value[which] for name, value in self._arrays()}
+        if self.beam is not None:
+            own = {name: getattr(self.beam, name) for name in ("boresight", "axis")}
+            own = {name: value[which] for name, value in own.items() if value is not None and value.ndim > 1}
+            changes["beam"] = dataclasses.replace(self.beam, **own) if own else self.beam
+        return self.replace(**changes)
+
+    def channels(self, which: slice | int | npt.ArrayLike) -> Echoes:
+        """Some of the receivers of all pings, chosen as pings are: echoes.channels(slice(0, 4)), echoes.channels([0, 5])."""
+        chosen = _chosen("which", which, self.n_channel)
+        if self.data.ndim == 2:
+            np.zeros(1)[chosen]  # which has the one channel or raises
+            return self
+        return self.replace(**{name: value[:, chosen] for name, value in self._arrays() if value.ndim > 2})
+
+    def _arrays(self) -> list[tuple[str, npt.NDArray[Any]]]:
+        """Fields whose first axis is the ping, by name; those of three axes have the channel next."""
+        found = [(f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if f.name != "pulse"]
+        return [(name, value) for name, value in found if isinstance(value, np.ndarray) and value.ndim > 0]
+
     def __repr__(self) -> str:
         median, largest = self.phase_centre_spacing()
         near, far = self.swath
@@ -259,3 +295,20 @@ class Echoes:
         if self.beam is not None:
             lines.append(f"  beam       {self.beam.describe()}")
         return "\n".join(lines + [f"  warning    {text}" for text in self.warnings()])
+
+
+def _chosen(name: str, which: slice | int | npt.ArrayLike, count: int) -> slice | npt.NDArray[Any]:
+    """An index of one axis, of `count`, that keeps the axis and something on it."""
+    if isinstance(which, slice):
+        if len(range(*which.indices(count))) == 0:
+            raise ValueError(f"{name}={which}: none of {count} is left: expected some")
+        return which
+    index = _checks.array_like(name, which)
+    if index.dtype.kind not in "iub" or index.ndim > 1 or (index.dtype == np.bool_ and index.shape != (count,)):
+        raise TypeError(f"{name}={which!r:.60}: expected a slice, whole numbers, or {count} booleans")
+    index = np.flatnonzero(index) if index.dtype == np.bool_ else np.atleast_1d(index)
+    if index.size == 0:
+        raise ValueError(f"{name}={which!r:.60}: none of {count} is left: expected some")
+    if index.min() < -count or index.max() >= count:
+        raise IndexError(f"{name}={which!r:.60}: expected below {count}")
+    return slice(int(index[0]) % count, int(index[0]) % count + 1) if index.size == 1 else index

@@ -6,6 +6,7 @@ A grid knows its coordinates, of which it keeps its own copies, and nothing of e
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +35,10 @@ class Grid:
         Coordinate vectors, m (angle: rad), in the order of the constructor's arguments; empty for points.
     mask : bool array of `shape`, or None
         False: the pixel is not computed and stays 0.
+    origin : (x, y)
+        Where the axes of a plane or a surface begin, m.
+    rotation : float
+        By how much they are turned about it, rad, from x towards y: 0 where they are those of the echoes' coordinates.
     """
 
     kind: str
@@ -43,12 +48,28 @@ class Grid:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     height: float | FloatArray = 0.0
     coords: FloatArray | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
 
     @classmethod
-    def plane(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: float = 0.0, *, mask: npt.ArrayLike | None = None) -> Grid:
-        """Horizontal plane at height `z`; shape (len(y), len(x))."""
+    def plane(
+        cls,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        z: float = 0.0,
+        *,
+        origin: npt.ArrayLike = (0.0, 0.0),
+        rotation: float = 0.0,
+        mask: npt.ArrayLike | None = None,
+    ) -> Grid:
+        """Horizontal plane at height `z`; shape (len(y), len(x)).
+
+        Its axes may begin at an `origin` (x, y), m, and be turned about it by a `rotation`, rad, from x towards y, such as to
+        lie along a track: pixels are origin + x (cos, sin) + y (-sin, cos).
+        """
         axes = {"x": _axis("x", x), "y": _axis("y", y)}
-        return cls._made("plane", axes, (axes["y"].size, axes["x"].size), mask, height=_checks.number("z", z))
+        fields = {"height": _checks.number("z", z)} | _frame(origin, rotation)
+        return cls._made("plane", axes, (axes["y"].size, axes["x"].size), mask, **fields)
 
     @classmethod
     def polar(
@@ -65,11 +86,21 @@ class Grid:
         return cls._made("polar", axes, (axes["angle"].size, axes["r"].size), mask, centre=(float(x), float(y), float(z)))
 
     @classmethod
-    def surface(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> Grid:
-        """Height map `z` of shape (len(y), len(x)) over the coordinate vectors `x` and `y`."""
+    def surface(
+        cls,
+        x: npt.ArrayLike,
+        y: npt.ArrayLike,
+        z: npt.ArrayLike,
+        *,
+        origin: npt.ArrayLike = (0.0, 0.0),
+        rotation: float = 0.0,
+        mask: npt.ArrayLike | None = None,
+    ) -> Grid:
+        """Height map `z` of shape (len(y), len(x)) over the coordinate vectors `x` and `y`, which lie as in `plane`."""
         axes = {"x": _axis("x", x), "y": _axis("y", y)}
         shape = (axes["y"].size, axes["x"].size)
-        return cls._made("surface", axes, shape, mask, height=_checks.reals("z", z, [shape], ("row", "column")))
+        fields = {"height": _checks.reals("z", z, [shape], ("row", "column"))} | _frame(origin, rotation)
+        return cls._made("surface", axes, shape, mask, **fields)
 
     @classmethod
     def of_heights(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: FloatArray) -> Grid:
@@ -109,6 +140,43 @@ class Grid:
         """Number of pixels."""
         return int(np.prod(self.shape))
 
+    def within(self, **spans: tuple[float, float]) -> tuple[Grid, tuple[Any, ...]]:
+        """The grid within spans (low, high) of its axes, ends included, by their names; and the index of its pixels in this."""
+        chosen: dict[str, slice | npt.NDArray[np.intp]] = dict.fromkeys(self.axes, slice(None))
+        for name, span in spans.items():
+            if name not in self.axes:
+                raise ValueError(
+                    f"{name}={span!r}: expected one of the axes of a {self.kind}: {', '.join(self.axes) or 'none'}"
+                )
+            low, high = _checks.reals(name, span, [(2,)])
+            number = np.flatnonzero((self.axes[name] >= low) & (self.axes[name] <= high))
+            if number.size == 0:
+                ends = f"{self.axes[name].min():.6g} to {self.axes[name].max():.6g}"
+                raise ValueError(f"{name}={span!r}: holds no pixel: expected a span of {ends}")
+            chosen[name] = slice(int(number[0]), int(number[-1]) + 1) if number[-1] - number[0] + 1 == number.size else number
+        index: tuple[Any, ...] = tuple(chosen[name] for name in list(self.axes)[::-1])
+        if any(isinstance(part, np.ndarray) for part in index):
+            index = np.ix_(*(np.arange(n)[part] for part, n in zip(index, self.shape, strict=True)))
+        axes = {name: axis[chosen[name]] for name, axis in self.axes.items()}
+        height = self.height[index] if isinstance(self.height, np.ndarray) else self.height
+        mask = None if self.mask is None else self.mask[index]
+        return dataclasses.replace(
+            self, shape=np.broadcast_to(False, self.shape)[index].shape, axes=axes, height=height, mask=mask
+        ), index
+
+    @property
+    def turned(self) -> bool:
+        """Whether its axes are others than those of the coordinates."""
+        return self.rotation != 0 or self.origin != (0.0, 0.0)
+
+    def along_axes(self, points: npt.ArrayLike) -> FloatArray:
+        """Where points (n, 2 or 3), m, lie along the axes x and y of a plane or a surface, (n, 2); for others their x and y."""
+        places = _checks.reals("points", points, [("n", 2), ("n", 3)], ("point",))[:, :2]
+        if not self.turned:
+            return places
+        (x, y), cos, sin = (places - self.origin).T, np.cos(self.rotation), np.sin(self.rotation)
+        return np.stack([cos * x + sin * y, cos * y - sin * x], axis=1)
+
     def coordinates(self, pixels: npt.ArrayLike | None = None) -> FloatArray:
         """Coordinates (n, 3), m, of flat pixel indices (default: all, in C order)."""
         flat = np.arange(self.size) if pixels is None else _checks.array_like("pixels", pixels)
@@ -132,6 +200,11 @@ class Grid:
             points[:, 2] = self.axes["z"][index[0]]
         else:
             points[:, 2] = np.asarray(self.height).reshape(-1)[flat] if np.ndim(self.height) else self.height
+        if self.turned:
+            cos, sin = np.cos(self.rotation), np.sin(self.rotation)
+            x, y = points[:, 0].copy(), points[:, 1].copy()
+            points[:, 0] = self.origin[0] + (cos * x - sin * y)
+            points[:, 1] = self.origin[1] + (sin * x + cos * y)
         return points
 
     def __repr__(self) -> str:
@@ -148,9 +221,19 @@ class Grid:
             lines.append(f"  z          {np.min(self.height):.4g} to {np.max(self.height):.4g} m")
         elif self.kind == "polar":
             lines.append(f"  centre     {self.centre} m")
+        if self.turned:
+            x, y = self.origin
+            lines.append(
+                f"  axes       from ({x:.10g}, {y:.10g}) m, turned by {np.degrees(self.rotation):.4g} deg from x towards y"
+            )
         if self.mask is not None:
             lines.append(f"  mask       {np.count_nonzero(self.mask)} of {self.size} pixels imaged")
         return "\n".join(lines)
+
+
+def _frame(origin: npt.ArrayLike, rotation: float) -> dict[str, Any]:
+    x, y = _checks.reals("origin", origin, [(2,)])
+    return {"origin": (float(x), float(y)), "rotation": _checks.number("rotation", rotation, low=-2 * np.pi, high=2 * np.pi)}
 
 
 def _axis(name: str, values: npt.ArrayLike) -> FloatArray:

@@ -101,6 +101,30 @@ class Image:
         object.__setattr__(self, "fc", _checks.number("fc", self.fc, positive=True))
         object.__setattr__(self, "c", _checks.number("c", self.c, positive=True))
 
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """The pixels: np.asarray(image) is `data`, and NumPy's functions take images."""
+        return np.array(self.data, dtype=dtype, copy=copy)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Pixels, as of `data`: image[...] is all of them; `crop` keeps their grid."""
+        return self.data[index]
+
+    def crop(self, **spans: tuple[float, float]) -> Image:
+        """The image within spans of its axes, ends included; pixels are shared, not copied, where axes ascend or descend.
+
+        Parameters
+        ----------
+        **spans : (low, high)
+            By the name of an axis of its grid, m (angle: rad): image.crop(x=(0, 5), y=(20, 30)).
+
+        Raises
+        ------
+        ValueError, TypeError
+            No such axis, a span that is none or holds no pixel.
+        """
+        grid, where = self.grid.within(**spans)
+        return dataclasses.replace(self, data=self.data[where], grid=grid)
+
     def db(self, reference: float | None = None) -> FloatArray:
         """Magnitude in dB below `reference` (amplitude; default: the largest). Zero pixels are -inf; all zero: all -inf."""
         magnitude = np.abs(self.data).astype(np.float64)
@@ -109,7 +133,10 @@ class Image:
             return np.asarray(20 * np.log10(magnitude / (level or 1.0)))
 
     def to_xarray(self) -> Any:
-        """The image as an `xarray.DataArray` with axes in metres (needs the extra `xarray`)."""
+        """The image as an `xarray.DataArray` with axes in metres (needs the extra `xarray`).
+
+        `to_netcdf` writes complex pixels with engine="h5netcdf", or engine="netcdf4" and auto_complex=True.
+        """
         try:
             import xarray
         except ImportError:
@@ -125,7 +152,9 @@ class Image:
             coords["height"] = (dims, np.asarray(grid.height), {"units": "m"})
         if grid.coords is not None:
             coords |= {name: (dims, grid.coords[..., i], {"units": "m"}) for i, name in enumerate("xyz")}
-        attrs = {"fc": self.fc, "c": self.c, "method": self.report.method}
+        attrs: dict[str, Any] = {"fc": self.fc, "c": self.c, "method": self.report.method}
+        if grid.turned:
+            attrs |= {"origin": grid.origin, "rotation": grid.rotation}
         return xarray.DataArray(self.data, dims=dims, coords=coords, name="image", attrs=attrs)
 
     def __repr__(self) -> str:

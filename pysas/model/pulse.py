@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import fresnel
 
 from pysas import _checks
 from pysas._checks import FloatArray
@@ -186,6 +185,8 @@ class LFM:
         f = _times("f", f)
         centre = np.exp(-1j * np.pi * f * self.duration)
         if self.window == "rect":
+            from scipy.special import fresnel  # which echoes as such need not wait for
+
             rate = self.rate
             root = np.sqrt(2 * abs(rate))
             sign = np.sign(rate)

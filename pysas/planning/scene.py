@@ -13,7 +13,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.engine.traces import BEAM, CONE, FAN, NO_BEAM, TRACE, Records, record
 from pysas.model import beam as beams
-from pysas.model.echoes import Echoes
+from pysas.model.echoes import EDGE, Echoes
 from pysas.model.grid import Grid
 
 UNIFORM = "uniform-angle"
@@ -205,11 +205,7 @@ class Scene:
 
         Looked at in all pairs of them, or in PAIRS of pixels and traces all over where there are more.
         """
-        left = np.flatnonzero(self.heard & (self.weights != 0) & (True if finite is None else finite))
-        pixels = self.drawn
-        if self.pixels * left.size <= PAIRS:
-            pixels = self._draw(self.pixels, 1)
-        left = left[_spread(min(left.size, max(1, PAIRS // len(pixels))), left.size, 1)]
+        left, pixels = self._pairs(finite)
         heard = lit = False
         for trace in left[:, None]:
             index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
@@ -220,6 +216,26 @@ class Scene:
         elif not lit:
             within = "the beam" if heard else "the beam or the recorded window"
         return f"no pixel lies within {within} of any trace left: image is zero"
+
+    def dark(self, finite: npt.NDArray[np.bool_]) -> bool:
+        """Whether no pixel that is wanted has a term, of traces that are `finite`, looked at as `why_dark` does.
+
+        For images that are zero although terms were counted: kernels count whole lines, masked pixels among them.
+        """
+        left, pixels = self._pairs(finite)
+        for trace in left[:, None]:
+            index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
+            if np.any((index >= -EDGE) & (index <= self.n_sample - 1 + EDGE) & (share > 0)):
+                return False
+        return True
+
+    def _pairs(self, finite: npt.NDArray[np.bool_] | None) -> tuple[npt.NDArray[np.int64], FloatArray]:
+        """Traces that are left, of all or of those that are `finite`, and pixels: all of them, or PAIRS of them all over."""
+        left = np.flatnonzero(self.heard & (self.weights != 0) & (True if finite is None else finite))
+        pixels = self.drawn
+        if self.pixels * left.size <= PAIRS:
+            pixels = self._draw(self.pixels, 1)
+        return left[_spread(min(left.size, max(1, PAIRS // len(pixels))), left.size, 1)], pixels
 
 
 def _lights(trace: Records, fan: bool, angle: float, low: FloatArray, high: FloatArray) -> bool:
@@ -291,8 +307,8 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
     number = int(np.prod(grid.shape[:-1]))
     first = grid.coordinates(np.arange(number) * axis.size)
     last = grid.coordinates(np.arange(number) * axis.size + axis.size - 1)
-    if grid.kind == "polar" and axis.size > 2:
-        # r cos(angle) and its sum with the centre round for every pixel; so do the ends that its line goes by
+    if (grid.kind == "polar" or grid.turned) and axis.size > 2:
+        # r cos(angle) and its sum with the centre round for every pixel; so do the ends that its line goes by, and turned axes
         largest = np.max(np.abs(np.concatenate([first[:, :2], last[:, :2]])), axis=0)
         wrong += float(np.linalg.norm(np.spacing(largest))) + 4 * float(np.spacing(np.max(np.abs(axis))))
     return first, (last - first) / max(axis.size - 1, 1), wrong
@@ -316,6 +332,12 @@ def _lines_of(points: FloatArray) -> tuple[FloatArray, FloatArray, float] | None
 
 def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Corners of a box that holds the grid."""
+    if grid.turned:
+        x, y = ([np.min(grid.axes[name]), np.max(grid.axes[name])] for name in "xy")
+        corners = Grid.plane(x, y, origin=grid.origin, rotation=grid.rotation).coordinates()
+        corners[:, 2] = [np.min(grid.height), np.max(grid.height)] * 2
+        wide = 4 * np.spacing(np.abs(corners).max())  # pixels are rounded each by itself
+        return corners.min(axis=0) - wide, corners.max(axis=0) + wide
     if grid.kind in ("plane", "volume", "surface"):
         spans = [(np.min(a), np.max(a)) for a in grid.axes.values()]
         if grid.kind != "volume":

@@ -148,6 +148,8 @@ def _checked(echoes: Echoes, grid: Grid) -> Survey:
         raise TypeError(f"grid={type(grid).__name__}: expected a pysas.Grid")
     if grid.kind != "plane":
         raise ValueError(f"grid: expected a plane, found {grid.kind}")
+    if grid.turned:
+        raise ValueError("grid: turned axes: expected those of the echoes' coordinates")
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
     if echoes.beam is not None:

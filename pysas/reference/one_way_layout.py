@@ -282,6 +282,8 @@ def _pixels(
     """Rows in order of depth, their depths, and the pings of the columns."""
     if not isinstance(grid, Grid) or grid.kind != "plane":
         raise TypeError(f"grid={grid!r}: expected a pysas.Grid.plane")
+    if grid.turned:
+        raise ValueError("grid: turned axes: expected those of the echoes' coordinates")
     if abs(float(np.mean(grid.height)) - strip.z0) > 1e-6:
         raise ValueError(f"grid: height {grid.height:g} m: expected that of the track, {strip.z0:g} m (the slant plane)")
     place = (grid.axes["x"] - strip.x0) / strip.spacing

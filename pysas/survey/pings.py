@@ -1,8 +1,7 @@
-"""Pings of echoes taken apart and joined."""
+"""Pings of echoes joined."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,27 +10,6 @@ from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 
 SAME = ("fs", "fc", "c", "bandwidth", "compressed")
-
-
-def part(echoes: Echoes, begin: int, end: int) -> Echoes:
-    """Pings `begin` to `end` - 1; samples are shared."""
-    if begin == 0 and end == echoes.n_ping:
-        return echoes
-    changes: dict[str, Any] = {name: getattr(echoes, name)[begin:end] for name in ("data", "tx", "rx")}
-    for name in ("t0", "velocity", "ping_time"):
-        value = getattr(echoes, name)
-        if value is not None and np.ndim(value) > 0:
-            changes[name] = value[begin:end]
-    if echoes.beam is not None:
-        changes["beam"] = _aimed(echoes.beam, slice(begin, end))
-    return echoes.replace(**changes)
-
-
-def _aimed(beam: Beam, pings: slice) -> Beam:
-    own = {
-        name: value[pings] for name in ("boresight", "axis") if (value := getattr(beam, name)) is not None and value.ndim > 1
-    }
-    return dataclasses.replace(beam, **own) if own else beam
 
 
 def joined(parts: list[Echoes]) -> Echoes:

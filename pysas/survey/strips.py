@@ -25,7 +25,7 @@ from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
-from pysas.survey.pings import joined, part
+from pysas.survey.pings import joined
 
 ROWS = 64  # of the grid, at which reaches along the track are looked at
 
@@ -294,10 +294,10 @@ def _blocks(pings: Iterable[Echoes], length: float) -> Iterator[Echoes]:
                 start = x
             elif abs(x - start) >= length:
                 if ping > begin:
-                    kept.append(part(echoes, begin, ping))
+                    kept.append(echoes[begin:ping])
                 yield joined(kept)
                 kept, begin, start = [], ping, x
-        kept.append(part(echoes, begin, echoes.n_ping))
+        kept.append(echoes[begin : echoes.n_ping])
     if kept:
         yield joined(kept)
 
