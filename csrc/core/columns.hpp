@@ -13,8 +13,9 @@
 
 namespace pysas {
 
-// Tiles of so many pixels along lines that are read at a time where pixels have heights, from multiples of that on.
-inline std::int64_t read_at_once(std::int64_t tile_along) { return tile_along < block ? block / tile_along : 1; }
+// Tiles of so many pixels along lines that are read at a time where pixels have heights, from multiples of that on: one
+// or two, so that what is read is one of them or both.
+inline std::int64_t read_at_once(std::int64_t tile_along) { return 2 * tile_along <= block ? 2 : 1; }
 
 // A sub-image, not filtered along its rays, and how tiles are read from it; of maps, through which stack.
 struct Source {

@@ -187,9 +187,10 @@ void read_relief(const ColumnJob& job) {
         const double dx = job.first[0] + middle * step[0] - image.centre[0],
                      dy = job.first[1] + middle * step[1] - image.centre[1],
                      dz = job.heights[0] + middle * seen.slope - image.centre[2];
-        const double along = ::fabs(dx * step[0] + dy * step[1]) / apart, away = ::sqrt(dx * dx + dy * dy);
-        const double way = (seen.high - seen.low) / 2 * ::fabs(dz) / along,
-                     turn = ::fabs(axis[0] * step[0] + axis[1] * step[1]) / apart * way / away;
+        const double along = (dx * step[0] + dy * step[1]) / apart, away = ::sqrt(dx * dx + dy * dy);
+        const double off = (seen.high - seen.low) / 2, way = off * ::fabs(dz / (along + dz * seen.slope / apart));
+        const double turn = (::fabs(axis[0] * step[0] + axis[1] * step[1]) / apart * way + ::fabs(axis[2]) * off) /
+                            (::sqrt(axis[0] * axis[0] + axis[1] * axis[1]) * away);
         if (!(turn <= job.turn * image.dangle)) lines = 2;
     }
     alignas(64) float sum_re[block], sum_im[block];

@@ -103,8 +103,10 @@ namespace {
 // two lines the phase's square is left, as of any linear interpolation. On the plane a line of slope s, Z off it, bends
 // by (2 H Z + 2 s H y + (s y)^2)/y^3. What a ping's own trace is off by, as q/r of heights, is read through three
 // places along the line and as many between its two slopes.
+//
+// Slopes that face the group shorten that line along the ray and not beside it: by `shorter`.
 bool slopes(const Group& group, const Onto& onto, double plane, const std::vector<Point>& corners, const Point& along,
-            std::int64_t count, double edge, double own, double turned) {
+            std::int64_t count, double edge, double own, double turned, double& shorter) {
     const double apart = length(on_ground(along)), across = std::hypot(group.axis.x, group.axis.y);
     double low = HUGE_VAL, high = -HUGE_VAL, ground = HUGE_VAL, beside = HUGE_VAL, below = 0, off = 0;
     for (const Point& corner : corners) {
@@ -117,7 +119,8 @@ bool slopes(const Group& group, const Onto& onto, double plane, const std::vecto
         off = std::max(off, std::abs(corner.z - plane));
     }
     const double rise = high - low, run = static_cast<double>(count - 1) * apart, slope = rise / run;
-    if (!(rise <= 3 * run && 2 * rise * below <= run * ground)) return false;
+    if (!(count > 1 && rise <= 3 * run && 2 * rise * below <= run * ground)) return false;
+    shorter = std::min(shorter, 1 - slope * below / ground);
     const double cosine = std::abs(group.axis.x * along.x + group.axis.y * along.y) / (apart * across),
                  upright = std::abs(group.axis.z) / across;
     const double turn = 2 * rise * (cosine * below / ground + upright) / beside * edge;
@@ -138,13 +141,15 @@ void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, doubl
     const double nearest = followed_from(height, step, layout.positions / edge);
     const auto each = static_cast<std::size_t>(tiled.each);
     const Onto onto(group, plane);
-    const auto leads = [&](std::int64_t tile, const Point& along) {
+    const auto leads = [&](std::int64_t tile, const Point& along, double shorter) {
         if (length(on_ground(along)) > most_nodes * step) return false;
         bool outward = false;
         for (std::size_t k = 0; k < each; ++k) {
             const Point& corner = tiled.corners[each * static_cast<std::size_t>(tile) + k];
             const Point away = on_ground((tiled.flat ? corner : onto(corner)->place) - group.centre);
-            if (!(turning(away, along, height) * step <= layout.crossing * rays)) return false;
+            const Point ray = (1 / length(away)) * away, straight = dot(on_ground(along), ray) * ray;
+            const Point seen = along - (1 - shorter) * straight;
+            if (!(turning(away, seen, height) * step <= layout.crossing * rays)) return false;
             if (!(slant_of(length(away), height) >= nearest)) return false;
             const bool out = dot(away, along) > 0;
             if (k > 0 && out != outward) return false;
@@ -152,11 +157,12 @@ void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, doubl
         }
         return true;
     };
-    // alone, and with those that are read at once, `apart` tiles from one to the next
+    // of tiles alone, and with those that are read at once, `apart` tiles from one to the next
     const auto even = [&](std::int64_t tile, const Point& along, std::int64_t number, std::int64_t apart,
                           std::int64_t pixels, std::int64_t left) {
         const std::int64_t count = read_at_once(pixels);
         const std::int64_t before = number % count, behind = std::min((left - 1) / pixels, count - 1 - before);
+        double shorter = 1;
         const auto holds = [&](std::int64_t begin, std::int64_t end) {
             std::vector<Point> corners;
             for (std::int64_t t = tile + begin * apart; t <= tile + end * apart; t += apart) {
@@ -165,18 +171,19 @@ void choose_reads(GroupTree& tree, const Group& group, const Tiled& tiled, doubl
             }
             const std::int64_t some = std::min(pixels * (end - begin + 1), left - begin * pixels);
             return std::all_of(corners.begin(), corners.end(), [&](const Point& p) { return onto(p).has_value(); }) &&
-                   slopes(group, onto, plane, corners, along, some, edge, own, turned);
+                   slopes(group, onto, plane, corners, along, some, edge, own, turned, shorter);
         };
-        return tiled.flat || (holds(0, 0) && (count == 1 || holds(-before, behind)));
+        const bool held = tiled.flat || (holds(0, 0) && (count == 1 || holds(-before, behind)));
+        return held && leads(tile, along, shorter);
     };
     const std::int64_t across = lines.across();
     for (std::int64_t tile = 0; tile < static_cast<std::int64_t>(tree.read.size()); ++tile) {
         std::uint8_t& read = tree.read[static_cast<std::size_t>(tile)];
         if (!read) continue;
-        if (lines.column >= least_stretch && leads(tile, lines.down) &&
+        if (lines.column >= least_stretch &&
             even(tile, lines.down, tile / across, across, tile_rows, lines.rows_from(tile)))
             read = by_columns;
-        else if (lines.line >= least_stretch && leads(tile, lines.step) &&
+        else if (lines.line >= least_stretch &&
                  even(tile, lines.step, tile % across, 1, lines.block, lines.pixels_from(tile)))
             read = by_lines;
     }

@@ -152,11 +152,8 @@ double highest_of(const Scene& scene) {
     return 2 * pi * (model.fc + scene.survey.band * model.fs) / model.c;
 }
 
-// Sine of the angle between a group's axis and those of its fans, at most: what a fan's weights turn with the angle
-// about the group's axis. Those of cones are not alike at one range and one place along it: 1.
-double askew(const Scene& scene, const Group& group) {
-    if (scene.light.terms == 0) return 0;
-    if (scene.light.shape != fan) return 1;
+// Sine of the angle between a group's axis and those of its fans, at most.
+double between_axes(const Scene& scene, const Group& group) {
     double most = 0;
     for (const std::int64_t i : group.traces) {
         const Point axis = point(scene.survey.traces[static_cast<std::size_t>(i)].axis);
@@ -166,10 +163,17 @@ double askew(const Scene& scene, const Group& group) {
     return most;
 }
 
+// What a fan's weights turn with the angle about the group's axis. Those of cones are not alike at one range and one
+// place along it: 1.
+double askew(const Scene& scene, const Group& group) {
+    if (scene.light.terms == 0) return 0;
+    return scene.light.shape == fan ? between_axes(scene, group) : 1;
+}
+
 // What a group's transmitters and receivers together lie beside its axis: for pixels `closest` m beside it at most
 // straight + bent / closest + twisted / closest^2.
 struct OffAxis {
-    double straight = 0, bent = 0, twisted = 0;
+    double straight = 0, bent = 0, twisted = 0, shift = 0;  // of what is read, m a rad
 
     OffAxis(const Scene& scene, const Group& group, bool alone) {
         const auto across = [&](const Point& p) { return p - dot(p, group.axis) * group.axis; };
@@ -189,14 +193,16 @@ struct OffAxis {
 
     // Beside the middle trace's: receivers off the line through its own along the axis, until echoes arrive, s (a +
     // s/2r) apart for a receiver s away, a the sine of the angle to the line's normal. Of that way heights turn by q/r
-    // what a line sees that lies q beside the axis.
+    // what a line sees that lies q beside the axis, or that is read q/r away for a transmitter there; and as it is read
+    // where the delay on the plane, which grows by q^2/4r^2 less than the range, has caught up, q^3/4r^2 are left.
     template <class Across>
     void beside_own(const Scene& scene, const Group& group, const Across& across) {
         const auto& traces = scene.survey.traces;
         const Trace& own = traces[static_cast<std::size_t>(own_of(scene, group))];
         const double c = scene.survey.model.c, latest = 2 * scene.farthest / c;
         const Point speed = across(point(own.velocity));
-        const double sine = scene.light.shape == fan ? std::min(1.0, scene.light.sine_half + askew(scene, group)) : 1.0;
+        const double sine =
+            scene.light.shape == fan ? std::min(1.0, scene.light.sine_half + between_axes(scene, group)) : 1.0;
         double away = 0;
         for (const std::int64_t i : group.traces) {
             const Trace& trace = traces[static_cast<std::size_t>(i)];
@@ -205,9 +211,11 @@ struct OffAxis {
                                               latest * length(point(trace.velocity) - point(own.velocity)));
             away = std::max(away, length(off));
         }
-        const double q = length(across(point(own.rx) - group.centre)) + latest * length(speed);
+        shift = length(across(point(own.tx) - group.centre)) + length(across(point(own.rx) - group.centre)) +
+                latest * length(speed);
+        const double q = shift;
         bent = straight * (straight + 2 * q + away) + q * away * sine + length(speed) * away * away / c;
-        twisted = q * away * away / 2;
+        twisted = q * away * away / 2 + q * q * q / 4;
     }
 };
 
@@ -271,7 +279,7 @@ Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group
         low = std::min(low, tiled.corners[i].z);
         high = std::max(high, tiled.corners[i].z);
     }
-    double straight = 0, bent = 0, twisted = 0, skew = 0;
+    double straight = 0, bent = 0, twisted = 0, skew = 0, shift = 0;
     const bool alone =
         std::all_of(groups.begin(), groups.end(), [&](const Group& group) { return own_of(scene, group) >= 0; });
     for (const Group& group : groups) {
@@ -279,6 +287,7 @@ Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group
         straight = std::max(straight, off.straight);
         bent = std::max(bent, off.bent);
         twisted = std::max(twisted, off.twisted);
+        shift = std::max(shift, off.shift);
         skew = std::max(skew, askew(scene, group));
     }
     const double half = (high - low) / 2, width = survey.model.beam.half_angle - survey.model.beam.full_angle;
@@ -294,7 +303,7 @@ Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group
         const double middle = (near + far) / 2;
         (wrong(middle) <= error ? far : near) = middle;
     }
-    Stacked out{{}, far, alone};
+    Stacked out{{}, far, alone, shift * half / std::max(far, 1e-9)};
     for (int k = count - 1; k >= 0; --k)
         out.heights.push_back((low + high) / 2 + half * std::cos(pi * (2 * k + 1) / (2 * count)));
     return out;
@@ -318,7 +327,7 @@ Fates fates_of(const Scene& scene, const Group& group, const Tiled& tiled, const
     const double reach = static_cast<double>(layout.fans.size() + 1) * (taps + 4) * step;
     const double apart = near_lengths * group.extent;  // of the group's centre from what is read
     const double least = std::max(std::hypot(apart, highest), layout.clear);
-    const double more = std::max(2 * reach, layout.ends * model.c / model.fs + 2 * taps * step);
+    const double more = std::max(2 * reach, layout.ends * model.c / model.fs + 2 * taps * step) + 2 * planes.shift;
     const Records records(scene, group.traces);
     const Beams beams(scene, group.traces);
     std::vector<Onto> stack;

@@ -39,6 +39,7 @@ struct Stacked {
     std::vector<double> heights;
     double closest = 0;
     bool alone = false;
+    double shift = 0;  // m of slant range by which pixels are read from elsewhere for it
 };
 // Of `count` planes; none where no distance is enough. `error`: what reading pixels off their planes may cost.
 Stacked stack_of(const Scene& scene, const Tiled& tiled, const std::vector<Group>& groups, double error, int count);

@@ -96,6 +96,7 @@ struct Layer {
     std::vector<double> heights;
     int number;
     bool alone;
+    double shift;
     std::vector<Seen> seen;  // by group
 
     double plane() const { return heights[static_cast<std::size_t>(number)]; }
@@ -112,6 +113,13 @@ Seen seen_of(const Layer& layer, const Group& group, const Fates& fates) {
         if (fates.read[i / each]) corners.push_back(tiled.flat ? tiled.corners[i] : onto(tiled.corners[i])->place);
     }
     if (!corners.empty()) out.readings = seen_from(group.centre, corners, tiled.each, out.direction);
+    for (Reading& reading : out.readings) {
+        const double height = group.centre.z - layer.plane();
+        const auto moved = [&](double ground, double by) {
+            return ground_from(std::max(slant_of(ground, height) + by, std::abs(height)), height);
+        };
+        reading.distance = {moved(reading.distance.low, -layer.shift), moved(reading.distance.high, layer.shift)};
+    }
     return out;
 }
 
@@ -144,7 +152,8 @@ struct ForestMaker {
             if (whole && std::find(found.direct.begin(), found.direct.end(), 1) != found.direct.end()) return false;
         }
         for (std::size_t k = 0; k < planes.heights.size(); ++k) {
-            Layer layer{tiled, planes.heights, static_cast<int>(k), planes.alone, std::vector<Seen>(groups.size())};
+            Layer layer{tiled,        planes.heights, static_cast<int>(k),
+                        planes.alone, planes.shift,   std::vector<Seen>(groups.size())};
             each([&](std::size_t g) { layer.seen[g] = seen_of(layer, groups[g], fates[g]); });
             layers.push_back(std::move(layer));
         }
@@ -253,6 +262,7 @@ struct ForestMaker {
                 out.tree.read[i] = unread;
                 out.tree.direct[i] = 1;
             }
+            if (!along(out.tree)) out.tree.levels.clear();
         }
         return out;
     }

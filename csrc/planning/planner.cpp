@@ -165,7 +165,8 @@ class Planner {
         out.relief = {1, flat ? 0 : share_relief * tol, flat ? 0 : share_lines * tol};
         const Parallel* lines = nullptr;
         for (Tiled& tiled : out.image) {
-            if (out.block > 0) tiled.lines = parallel_of(s_, tiled.begin, tiled.end, out.block, share_rounding * share);
+            if (out.block > 0 && (tiled.flat || s_.pixels.heights.z))
+                tiled.lines = parallel_of(s_, tiled.begin, tiled.end, out.block, share_rounding * share);
             if (tiled.lines && !lines) lines = &*tiled.lines;
         }
         const bool fades = s_.light.terms > 0;

@@ -103,7 +103,7 @@ class Grid:
         return cls._made("surface", axes, shape, mask, **fields)
 
     @classmethod
-    def of_heights(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: FloatArray) -> Grid:
+    def _of_heights(cls, x: npt.ArrayLike, y: npt.ArrayLike, z: FloatArray) -> Grid:
         """A surface whose finite heights stay where they are: who changes them uses the grid no more."""
         axes = {"x": _axis("x", x), "y": _axis("y", y)}
         return cls._made("surface", axes, (axes["y"].size, axes["x"].size), None, height=z)

@@ -198,7 +198,7 @@ class _Stream:
             begin = number * columns
             first, last = max(low, begin), min(high, begin + columns)
             heights[:, first - low : last - low] = self._ground(number)[:, first - begin : last - begin]
-        return Grid.of_heights(strip._x(low, high - low), strip.y, heights)
+        return Grid._of_heights(strip._x(low, high - low), strip.y, heights)
 
     def _ground(self, number: int) -> FloatArray:
         """Heights of an image to come."""
@@ -265,7 +265,7 @@ class _Stream:
             max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
         )  # fmt: skip
         x = strip._x(number * strip.columns, strip.columns)
-        grid = Grid.of_heights(x, strip.y, self._ground(number)) if callable(strip.z) else Grid.plane(x, strip.y, strip.z)
+        grid = Grid._of_heights(x, strip.y, self._ground(number)) if callable(strip.z) else Grid.plane(x, strip.y, strip.z)
         self.ground.pop(number, None)
         return Image(one.data, grid, report, one.fc, one.c)
 
