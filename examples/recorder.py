@@ -26,7 +26,7 @@ import pysas.plot
 from pysas.navigation import Frame, Poses, euler, geometry
 
 FC, BAND, BED = 100e3, 36e3, 20.0  # Hz: carrier, and what is kept about it of a pulse from 85 to 115 kHz; m: the bed's depth
-LEAD = 100  # zeros before the pulse: a filtered pulse begins before its leading edge
+LEAD = 200  # zeros on both ends of the pulse: a filter rings before and behind it
 
 
 def focused(folder: Path, nav_name: str) -> tuple[pysas.Image, Frame]:
@@ -41,7 +41,7 @@ def focused(folder: Path, nav_name: str) -> tuple[pysas.Image, Frame]:
     attitude = euler(nav["roll"], nav["pitch"], nav["heading"], degrees=True, source=nav.path)
     poses = Poses.from_geodetic(nav["time"], nav["lat"], nav["lon"], attitude, depth=nav["depth"], source=nav.path)
     # pulse_centre is 0 because this recording is a simulation in which all of a pulse leaves from where the transmitter is at
-    # its leading edge; a sonar moves meanwhile: navigation.pulse_centre(pulse, rate, FC) - LEAD / fs
+    # its leading edge; a sonar moves meanwhile: navigation.pulse_centre(replica, fs) - LEAD / fs
     where = geometry(
         poses, pings["time"], tx=arms[0], rx=arms[1:], pulse_centre=0.0, travel_time=(t0, t0 + (adc.shape[-1] - 1) / fs)
     )

@@ -11,13 +11,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from pysas import __version__
-from pysas.cli import check, compare, demo, image, info, simulation
+from pysas.cli import check, compare, demo, echoes, image, info, simulation
 from pysas.cli.common import Progress
 
 _ERROR, _INTERRUPTED = 2, 130
 _COMMANDS = {
     command.name: command
-    for command in (demo.COMMAND, image.COMMAND, compare.COMMAND, simulation.COMMAND, info.COMMAND, check.COMMAND)
+    for command in (
+        demo.COMMAND,
+        echoes.COMMAND,
+        image.COMMAND,
+        compare.COMMAND,
+        simulation.COMMAND,
+        info.COMMAND,
+        check.COMMAND,
+    )  # fmt: skip
 }
 
 
