@@ -146,11 +146,11 @@ def _table(path: str, names: tuple[str, ...], text: str | None = None) -> Table:
 def _replica(text: str, fs: float) -> npt.NDArray[Any]:
     """The measured pulse, real pass-band."""
     path, name = _file(text)
-    if name:
-        return recordings.read_mat(path, name)
-    samples, rate = recordings.read_wav(path)
+    samples, rate = (recordings.read_mat(path, name), fs) if name else recordings.read_wav(path)
     if rate != fs:
         raise ValueError(f"{path}: {rate:g} Hz: expected the samples' rate, --fs {fs:g} Hz")
+    if not np.isfinite(samples).all():
+        raise ValueError(f"{path}: not finite first at sample {int(np.argmin(np.isfinite(samples)))}: expected finite samples")
     return samples
 
 
