@@ -1,7 +1,7 @@
-"""What recorders and MATLAB leave behind: raw binary samples (mapped), WAV, and variables of .mat files.
+"""What recorders leave behind: raw binary samples, which are mapped, and pulses as WAV.
 
 Sizes are compared with the bytes that lie in a file before anything is allocated; every error names the file. `tables` reads
-tables of text.
+tables of text, `matlab` .mat files.
 """
 
 from __future__ import annotations
@@ -16,13 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pysas._checks import FloatArray
 from pysas.formats import files
 
 Array = npt.NDArray[Any]
-
-_MAT_NUMBERS = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
-_MOST_MAT = 2**24  # numbers of a variable: a pulse of half a minute
 
 
 def read_samples(path: str, dtype: str, shape: Sequence[int]) -> Array:
@@ -84,29 +80,3 @@ def read_wav(path: str) -> tuple[Array, float]:
     if samples.ndim != 1 or samples.size == 0 or samples.dtype.kind not in "if" or samples.dtype.itemsize < 2:
         raise ValueError(f"{path}: {samples.dtype} of shape {samples.shape}: expected one channel of 16 bits or more")
     return samples, float(rate)
-
-
-def read_mat(path: str, name: str) -> FloatArray:
-    """A real variable of a .mat file of MATLAB's versions 4 to 7 (`save -v7`), as one row of numbers.
-
-    Raises ValueError for a damaged file or a variable that is not there, has more than one long axis or is no real number,
-    OSError from the file system.
-    """
-    from scipy.io import loadmat, whosmat
-
-    with files.opened(path) as file:
-        content: Any = io.BytesIO(file.read())
-    try:
-        held = {variable: (shape, kind) for variable, shape, kind in whosmat(content)}
-        shape, kind = held.get(name, ((), "missing"))
-        fits = kind in _MAT_NUMBERS and math.prod(shape) == max(shape) and 0 < math.prod(shape) <= _MOST_MAT
-        values = loadmat(content, variable_names=[name])[name] if fits else None
-    except NotImplementedError:
-        raise ValueError(f"{path}: expected MATLAB's format of version 7 or before (save -v7)") from None
-    except Exception as error:  # as above
-        raise ValueError(f"{path}: expected a .mat file ({error or type(error).__name__})") from None
-    if kind == "missing":
-        raise ValueError(f"{path}: no variable {name!r:.60}: expected one of {', '.join(held)}")
-    if values is None or values.dtype.kind not in "iuf":
-        raise ValueError(f"{path}, {name}: {kind} of shape {tuple(shape)}: expected real numbers in one row or column")
-    return np.asarray(values, dtype=np.float64).ravel()
