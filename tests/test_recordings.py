@@ -22,7 +22,7 @@ from pysas import cli
 from pysas.formats import recordings
 from pysas.navigation import Frame
 
-FS, FC, B, DURATION, C, T0, SPEED = 100e3, 20e3, 6e3, 4e-3, 1480.0, 12e-3, 1.0
+FS, FC, B, DURATION, C, T0, SPEED = 100e3, 20e3, 6e3, 4e-3, 1480.0, 12.013e-3, 1.0
 PINGS, SAMPLES = 60, 1400
 NORTH, EAST = np.pi / 180 * 6378137.0 * (1 - 0.00669437999014), np.pi / 180 * 6378137.0  # m a degree, at the equator
 TARGET = np.array([1.9, 12.3, 9.0])  # north, east, down, m
@@ -96,6 +96,8 @@ def test_a_target_is_imaged_in_place(made: Path, tmp_path: Path, monkeypatch: An
     image = pysas.focus(echoes, pysas.Grid.plane(x, y, target[2]), tol=1e-4)
     found = pysas.metrics.peak_position(image, near=(target[0], target[1]), radius=0.1)
     np.testing.assert_allclose(found, target[:2], rtol=0, atol=3e-5)
+    there = pysas.focus(echoes, pysas.Grid.points([target]), tol=1e-4).data[0]
+    assert abs(np.angle(there)) < 0.01  # fc t0 is no whole number of turns
     assert np.abs(image.data).max() / (2 * PINGS) == pytest.approx(
         12_000 / 20_000, rel=1e-4
     )  # of the pulse as it is in its file
