@@ -133,7 +133,7 @@ def load_image(path: str | os.PathLike[str]) -> Image:
 
 _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
     "schema": ("text", ""), "data": ("samples", "T sample"), "fs": ("real", ""), "fc": ("real", ""), "c": ("real", ""),
-    "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"), "compressed": ("bool", ""),
+    "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"), "compressed": ("flag", ""),
     "velocity": ("real", "ping 3", "T 3"), "bandwidth": ("real", ""), "ping_time": ("real", "ping"),
     "pulse_kind": ("text", ""), "pulse_fc": ("real", ""), "pulse_bandwidth": ("real", ""), "pulse_duration": ("real", ""),
     "pulse_window": ("text", ""), "pulse_window_parameter": ("real", ""), "waveform": ("samples", "length"),
@@ -193,6 +193,9 @@ def _read_echoes(file: File) -> tuple[Echoes, set[str]]:
     names = [name for name, field in table.items() if name in file.fields and name != "data" and field[0] != "text"]
     values: dict[str, Any] = {name: file.read(name) for name in names}
     values |= {name: value.item() for name, value in values.items() if value.ndim == 0}
+    if values["compressed"] not in (0, 1):
+        raise ValueError(f"compressed: found {values['compressed']}, expected 0 or 1")
+    values["compressed"] = bool(values["compressed"])
     attrs = _object("attrs", file.text("attrs")) if "attrs" in file.fields else {}
     attrs |= {name: values.pop(name) for name in _TRUTH if got[2]}
     pulse = values.pop("waveform", None)

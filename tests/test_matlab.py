@@ -1,0 +1,122 @@
+"""Numbers from MATLAB's files: what SciPy writes, the other byte order by hand, and files that are damaged."""
+
+from __future__ import annotations
+
+import random
+import struct
+import tracemalloc
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+
+from pysas.formats.matlab import read_mat
+from pysas.formats.recordings import read_wav
+
+KINDS = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("orientation", ["row", "column"])
+def test_what_scipy_writes(tmp_path: Path, packed: bool, orientation: Any) -> None:
+    values = {f"x{i}": np.arange(100).astype(kind) for i, kind in enumerate(KINDS)} | {
+        "one": 1487.3,
+        "four": np.arange(4, dtype="i1"),
+    }
+    more = {"text": "abc", "cell": np.array([1, "a"], object), "record": {"a": 1.0}, "large": np.ones((300, 400))}
+    scipy.io.savemat(tmp_path / "a.mat", more | values, do_compression=packed, oned_as=orientation)
+    for name, value in values.items():
+        found = read_mat(str(tmp_path / "a.mat"), name)
+        assert found.dtype == np.float64
+        np.testing.assert_array_equal(found, np.atleast_1d(value))
+
+
+def big_endian(name: bytes, values: np.ndarray) -> bytes:
+    """MATLAB's level 5 as written on a machine of the other byte order: a double array whose numbers are kept as int16."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack(">II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    flags, shape = struct.pack(">II", 6, 0), struct.pack(">ii", 1, values.size)
+    parts = element(6, flags) + element(5, shape) + element(1, name) + element(3, values.astype(">i2").tobytes())
+    return b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(">H", 0x0100) + b"MI" + element(14, parts)
+
+
+def test_the_other_byte_order(tmp_path: Path) -> None:
+    (tmp_path / "a.mat").write_bytes(big_endian(b"pulse", np.arange(-3, 4)))
+    np.testing.assert_array_equal(read_mat(str(tmp_path / "a.mat"), "pulse"), np.arange(-3, 4))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (np.ones((2, 3)), "class 6 of shape (2, 3)"),
+        (np.ones(3) + 1j, "class 6, complex of shape (1, 3)"),
+        (np.zeros((0, 0)), "class 6 of shape (0, 0)"),
+        ("text", "class 4 of shape (1, 4)"),
+        ({"a": 1.0}, "class 2 of shape (1, 1)"),
+    ],
+)
+def test_what_is_no_row_of_numbers(tmp_path: Path, value: Any, said: str) -> None:
+    path = str(tmp_path / "a.mat")
+    scipy.io.savemat(path, {"x": value})
+    with pytest.raises(ValueError) as error:
+        read_mat(path, "x")
+    assert f"{path}, x: found {said}: expected real numbers" in str(error.value)
+    with pytest.raises(ValueError, match="no variable 'y': expected one of x"):
+        read_mat(path, "y")
+
+
+def test_other_versions_are_told(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "4.mat", {"x": 1.0}, format="4")
+    (tmp_path / "73.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + struct.pack("<H", 0x0200) + b"IM" + bytes(512))
+    (tmp_path / "none.mat").write_bytes(b"")
+    for name in ("4.mat", "73.mat", "none.mat"):
+        with pytest.raises(ValueError, match=rf"{name}: expected a .mat file of MATLAB's versions 5 to 7"):
+            read_mat(str(tmp_path / name), "x")
+
+
+def test_nothing_is_expanded_beyond_a_variable_s_most(tmp_path: Path) -> None:
+    """400 MiB of zeros in two of them, with a shape to it: 2^24 numbers, 128 MiB, are the most."""
+    scipy.io.savemat(tmp_path / "a.mat", {"x": np.zeros(8)})
+    inner = bytearray((tmp_path / "a.mat").read_bytes())
+    head, matrix = inner[:128], inner[128:]
+    matrix[36:40] = struct.pack("<i", 2**27)  # after the tag, flags and the shape's own tag: its second length
+    packer = zlib.compressobj(1)
+    packed = packer.compress(bytes(matrix)) + b"".join(packer.compress(bytes(2**20)) for _ in range(400)) + packer.flush()
+    (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"a.mat, x: found"):
+        read_mat(str(tmp_path / "a.mat"), "x")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 300e6
+
+
+@pytest.mark.parametrize("suffix", ["mat", "wav"])
+def test_damage_is_an_error_or_other_numbers(tmp_path: Path, suffix: str) -> None:
+    """Bytes changed at random: nothing but a ValueError that names the file, or as many numbers as were there."""
+    path, draw = tmp_path / f"a.{suffix}", random.Random(3)
+    samples = (1000 * np.sin(np.arange(60))).astype(np.int16)
+    if suffix == "mat":
+        scipy.io.savemat(path, {"fs": 1.0, "x": samples}, do_compression=False)
+    else:
+        scipy.io.wavfile.write(path, 48000, samples)
+    good, failed = path.read_bytes(), 0
+    for _ in range(400):
+        bad = bytearray(good)
+        for _ in range(draw.choice((1, 2, 4))):
+            bad[draw.randrange(len(bad))] = draw.randrange(256)
+        path.write_bytes(bad[: draw.choice((len(bad), draw.randrange(len(bad))))])
+        try:
+            if suffix == "mat":
+                read_mat(str(path), "x")
+            else:
+                read_wav(str(path))
+        except ValueError as error:
+            failed += 1
+            assert str(path) in str(error)
+    assert failed > 100
