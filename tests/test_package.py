@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import pysas
+from pysas.engine import native
 
 DISTRIBUTION = "pysas-sonar"
 CONFIG = {"pysas", "backend", "processor", "extension", "threads", "python", "numpy", "scipy", "numba"}
@@ -50,6 +51,24 @@ def test_console_script(distribution: importlib.metadata.Distribution) -> None:
     (script,) = (entry for entry in distribution.entry_points if entry.group == "console_scripts")
     assert (script.name, script.value) == ("pysas", "pysas.cli:main")
     assert callable(script.load())
+
+
+def test_a_checkout_that_hides_the_installed_package_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Python started in a clone imports its sources, which have no extension."""
+
+    def none() -> None:
+        raise ImportError
+
+    monkeypatch.setattr(native, "core", none)
+    (tmp_path / "pysas" / "engine").mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert native.extension() is None and not recwarn
+    (tmp_path / "pysas" / "engine" / "_core.cpython-311-x86_64-linux-gnu.so").touch()
+    monkeypatch.syspath_prepend(tmp_path / "pysas" / "..")
+    with pytest.warns(UserWarning, match="hides the installed"):
+        assert native.extension() is None
 
 
 def test_types_are_shipped() -> None:

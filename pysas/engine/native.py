@@ -5,6 +5,9 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+import sys
+import warnings
+from pathlib import Path
 from typing import Any
 
 from pysas import _checks
@@ -12,11 +15,27 @@ from pysas._pool import leaving
 
 
 def extension() -> Any | None:
-    """The compiled module, or None where it was not built."""
+    """The compiled module, or None where it was not built; a warning where an installed package has one (once)."""
     try:
         return core()
     except ImportError:
+        _warn_of_others(tuple(sys.path))
         return None
+
+
+@functools.cache
+def _warn_of_others(folders: tuple[str, ...]) -> None:
+    """Python in a checkout imports the sources there, which hide the package that was installed and built."""
+    own = Path(__file__).resolve().parents[1]
+    for folder in folders:
+        other = Path(folder or ".").resolve() / own.name
+        if other != own and any(part.suffix in (".so", ".pyd") for part in (other / "engine").glob("_core.*")):
+            warnings.warn(
+                f"{own} has no compiled extension and hides the installed {other}, which has one: start Python in another "
+                "folder, or build here (pip install -e .)",
+                stacklevel=3,
+            )
+            return
 
 
 def core() -> Any:
