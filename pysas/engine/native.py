@@ -7,7 +7,6 @@ import importlib
 import os
 import sys
 import warnings
-from pathlib import Path
 from typing import Any
 
 from pysas import _checks
@@ -26,10 +25,12 @@ def extension() -> Any | None:
 @functools.cache
 def _warn_of_others(folders: tuple[str, ...]) -> None:
     """Python in a checkout imports the sources there, which hide the package that was installed and built."""
-    own = Path(__file__).resolve().parents[1]
+    own = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
     for folder in folders:
-        other = Path(folder or ".").resolve() / own.name
-        if other != own and any(part.suffix in (".so", ".pyd") for part in (other / "engine").glob("_core.*")):
+        other = os.path.join(os.path.realpath(folder or "."), os.path.basename(own))
+        engine = os.path.join(other, "engine")
+        parts = os.listdir(engine) if other != own and os.path.isdir(engine) else []
+        if any(part.startswith("_core.") and part.endswith((".so", ".pyd")) for part in parts):
             warnings.warn(
                 f"{own} has no compiled extension and hides the installed {other}, which has one: start Python in another "
                 "folder, or build here (pip install -e .)",
