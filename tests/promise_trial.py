@@ -129,7 +129,11 @@ def _direct(scene: Scene, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     points = scene.grid.coordinates(pixels)
     if isinstance(scene.weights, str):
         weights = weights[None] * pysas.circular.view_weights(echoes, scene.grid, pixels)
-    return oracle.direct_sum(echoes, points, weights)
+    peak = float(np.max(np.abs(echoes.data)))  # whose square may be no number
+    shift = int(np.frexp(peak)[1]) if not 1e-100 < peak < 1e100 else 0
+    parts = [np.ldexp(part, -shift) for part in (echoes.data.real, echoes.data.imag)]
+    image, level, sure = oracle.direct_sum(echoes.replace(data=parts[0] + 1j * parts[1]), points, weights)
+    return np.ldexp(image.real, shift) + 1j * np.ldexp(image.imag, shift), np.ldexp(level, shift), sure
 
 
 def truth(scene: Scene, both: bool = True) -> Truth:

@@ -28,7 +28,9 @@ constexpr std::int64_t alike_pixels = 8;    // at which what all traces have in 
 constexpr std::int64_t end_samples = 3;     // beside a record's first and last that tell how bright it is cut
 // errors of float arithmetic in transforms to and fro, rms, in roundings of the rms of what they transform
 constexpr double transform_roundings = 6.0;
-constexpr double wide_error = 1e-12;  // of a filter at twice the sample rate beside what pixels read
+constexpr double wide_error = 1e-12;     // of a filter at twice the sample rate beside what pixels read
+constexpr std::int64_t few_pixels = 64;  // read a bright sample with one part of a filter's reach, not with all in turn
+constexpr double peak_error = 2.0;       // of such a part, in the root mean square of all
 
 constexpr std::int64_t lanes = transform_lanes<double>;
 
@@ -126,7 +128,9 @@ class Look {
         const double planned = s.wide ? 0 : of(s.errors, "interpolation");
         const std::int64_t reach = (s.n_fft ? (s.filter.taps + 3) / 4 : s.filter.taps / 2) + 1;
         const double beside = square(s.wide ? wide_error : planned);
-        double sum = beside * std::max(level(reach), outside(reach)) * static_cast<double>(count);
+        // of few pixels it is one part of the reach that all read a bright sample with
+        const double uneven = scene_.wanted < few_pixels ? square(peak_error) : 1;
+        double sum = beside * uneven * std::max(level(reach), outside(reach)) * static_cast<double>(count);
         sum += ringing_of(plan);
         if (s.n_fft) sum += rounding_of(s);
         if (s.taper) sum += cut_of(plan);
