@@ -70,12 +70,12 @@ def imaged(
     `how` : the grid came about.
     """
     seconds = {}
+    if nan == "mask" and not echoes.compressed:
+        echoes = silenced(echoes)
     # planned first: what cannot be met is said before anything is compressed
     chosen = plan_ahead(echoes, grid, tol, method, threads, backend, nan)
     if not echoes.compressed:
         clock = time.perf_counter()
-        if nan == "mask":
-            echoes = silenced(echoes)
         echoes = compression.compress(echoes, threads=threads, progress=progress.step("compressing"))
         seconds["compress"] = time.perf_counter() - clock
     picture = chosen(echoes.data, progress=progress.step("imaging"))

@@ -6,6 +6,8 @@ import argparse
 import json
 from typing import Any
 
+import numpy as np
+
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
@@ -28,7 +30,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         near, far = item.swath
         values = {
             "kind": "echoes", "shape": list(item.data.shape), "dtype": str(item.dtype), "compressed": item.compressed,
-            "fs": item.fs, "fc": item.fc, "c": item.c, "bandwidth": item.occupied_bandwidth, "swath": [near, far],
+            "fs": item.fs, "fc": item.fc, "c": np.asarray(item.c).tolist(), "bandwidth": item.occupied_bandwidth,
+            "swath": [near, far],
             "range_resolution": item.range_resolution, "phase_centre_spacing": list(item.phase_centre_spacing()),
             "warnings": item.warnings(),
         }  # fmt: skip

@@ -36,12 +36,13 @@ def default_grid(echoes: Echoes, z: float = 0.0, spacing: float | None = None) -
     if not echoes.compressed and echoes.pulse is not None:
         pulse = echoes.pulse
         record -= (pulse.duration if isinstance(pulse, LFM) else (pulse.size - 1) / echoes.fs) / 2
-    near = echoes.c / 2 * float(echoes.start_time.max())
-    far = echoes.c / 2 * (float(echoes.start_time.min()) + record)
+    c = echoes.mean_speed
+    near = c / 2 * float(echoes.start_time.max())
+    far = c / 2 * (float(echoes.start_time.min()) + record)
     if far <= drop:
         raise ValueError(f"z={z:g}: {drop:.4g} m from the track, beyond the record's {far:.4g} m: choose another --z or a grid")
     ground_near, ground_far = (float(np.sqrt(max(r**2 - drop**2, 0.0))) for r in (near, far))
-    finest = echoes.c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
+    finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
     if _encloses(centres[:, :2], middle[:2]):
         radius = float(np.median(np.linalg.norm(centres[:, :2] - middle[:2], axis=1)))
         half = max(min(ground_far - radius, radius - ground_near, radius) / np.sqrt(2), finest)
@@ -57,8 +58,8 @@ def default_grid(echoes: Echoes, z: float = 0.0, spacing: float | None = None) -
         side, sine = 1.0, np.sin(np.arctan2(length / 2, (near + far) / 2))
         if echoes.beam is not None:
             side = float(np.sign(np.mean(np.atleast_2d(echoes.beam.boresight)[:, 1]))) or 1.0
-            sine = min(sine, echoes.c / echoes.fc / echoes.beam.length)
-        across = 2 * echoes.occupied_bandwidth / echoes.c + (1 - np.sqrt(1 - sine**2)) / finest
+            sine = min(sine, c / echoes.fc / echoes.beam.length)
+        across = 2 * echoes.occupied_bandwidth / c + (1 - np.sqrt(1 - sine**2)) / finest
         steps = np.array([_round(0.8 * min(finest / (2 * max(sine, 1e-6)), 1 / across)), _round(0.8 / across)])
         y = middle[1] + side * np.array([near_edge, far_edge])
         box = np.array([low - spare, high + spare, y.min(), y.max()])

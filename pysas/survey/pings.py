@@ -10,7 +10,8 @@ import numpy as np
 from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 
-SAME = ("fs", "fc", "c", "bandwidth", "compressed")
+SAME = ("fs", "fc", "bandwidth", "compressed")
+PER_PING = ("c", "t0", "velocity", "valid", "ping_time")  # fields that may have an entry a ping, beside data, tx, rx and beam
 
 
 def part(echoes: Echoes, begin: int, end: int) -> Echoes:
@@ -18,7 +19,7 @@ def part(echoes: Echoes, begin: int, end: int) -> Echoes:
     if begin == 0 and end == echoes.n_ping:
         return echoes
     changes: dict[str, Any] = {name: getattr(echoes, name)[begin:end] for name in ("data", "tx", "rx")}
-    for name in ("t0", "velocity", "ping_time"):
+    for name in PER_PING:
         value = getattr(echoes, name)
         if value is not None and np.ndim(value) > 0:
             changes[name] = value[begin:end]
@@ -56,6 +57,10 @@ def joined(parts: list[Echoes]) -> Echoes:
             raise ValueError("pings: velocity or beam given for some of them: expected all or none")
     changes: dict[str, Any] = {name: np.concatenate([getattr(e, name) for e in parts]) for name in ("data", "tx", "rx")}
     changes["t0"] = np.concatenate([e.start_time for e in parts])
+    if any(np.ndim(e.c) or e.c != first.c for e in parts):
+        changes["c"] = np.concatenate([e.speeds for e in parts])
+    if any(e.valid is not None for e in parts):
+        changes["valid"] = np.concatenate([e.windows if e.data.ndim == 3 else e.windows[:, 0] for e in parts])
     if first.velocity is not None:
         changes["velocity"] = np.concatenate([_moving(e) for e in parts])
     changes["ping_time"] = None
