@@ -193,7 +193,7 @@ def threads(value: Any) -> int:
 
 def warn(text: str) -> None:
     """Warn whoever called pysas, however many of its own functions lie between."""
-    frame, level = sys._getframe(1), 2
+    frame, level = sys._getframe(1), 3
     inside = ("pysas", "numpy", "contextlib")  # `usual_errors` among them
     while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] in inside:
         frame, level = frame.f_back, level + 1
