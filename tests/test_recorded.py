@@ -204,7 +204,9 @@ def test_mask_shortens_traces_and_leaves_out_those_with_holes(method, engine):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_plan_is_made_anew_for_data_whose_traces_end_earlier(engine):
     raw, _, weights = padded()
-    plan = pysas.plan(raw.replace(data=np.zeros(raw.data.shape, complex)), FEW, 1e-4, backend=engine, nan="mask", weights=weights)
+    plan = pysas.plan(
+        raw.replace(data=np.zeros(raw.data.shape, complex)), FEW, 1e-4, backend=engine, nan="mask", weights=weights
+    )
     made = plan(raw.data)
     right = pysas.focus(raw, FEW, 1e-4, backend=engine, nan="mask", weights=weights)
     assert np.array_equal(made.data, right.data) and made.report.notes == right.report.notes

@@ -1,4 +1,4 @@
-"""A sound speed a ping: engines against the oracle, the oracle against single pings, the simulator against both, and who says no.
+"""A sound speed a ping: engines against the oracle, that against single pings, the simulator against both, and who says no.
 
 A ping's echoes know its own c alone, so that the sum over pings of images of one ping each, of one speed, is the answer.
 """
@@ -53,8 +53,8 @@ def test_speeds_of_pings_keep_tol(name, spread, engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_far_ranges_keep_tol(engine):
-    """1 km, where 3 % are 30 m: pixels that some of the pings hear."""
-    echoes = varied(far(16), 0.001)
+    """1 km, where 1 % is 10 m of a record of 17 m: some of the pings hear a pixel."""
+    echoes = varied(far(16), 0.01)
     grid = pysas.Grid.plane(np.arange(-10, 11) * 0.02, 993.0 + np.arange(30) * 0.02)
     exact, level = pysas.reference.exact(echoes, grid)
     for tol in (1e-3, 1e-5):
@@ -78,7 +78,9 @@ def test_ffbp_and_focus_keep_tol(engine):
         image = pysas.ffbp(echoes, grid, 1e-3, backend=engine)
         assert image.report.factorised_share == 0
         assert "summed directly: pings of different sound speeds" in image.report.notes
-        with pytest.raises(ValueError, match="expected all terms to go through the tree, found: pings of different sound speeds"):
+        with pytest.raises(
+            ValueError, match="expected all terms to go through the tree, found: pings of different sound speeds"
+        ):
             pysas.ffbp(echoes, grid, 1e-3, False, backend=engine)
 
 
@@ -93,7 +95,8 @@ def test_the_oracle_knows_each_pings_speed():
         image, level = pysas.reference.exact(one, FEW)
         total, power = total + image, power + level**2
     exact, level = pysas.reference.exact(echoes, FEW)
-    assert np.array_equal(exact, total) and np.linalg.norm(level - np.sqrt(power)) < 1e-14 * np.linalg.norm(level)
+    assert np.linalg.norm(exact - total) < 1e-14 * np.linalg.norm(exact)
+    assert np.linalg.norm(level - np.sqrt(power)) < 1e-14 * np.linalg.norm(level)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -111,8 +114,8 @@ def test_a_simulated_point_has_its_peak_and_its_phase(engine):
     track = pysas.tracks.straight(pings, 0.05, height=5.0, start=(-0.6, 0.0, 0.0)).position
     c = C + 15 * np.random.default_rng(7).uniform(-1, 1, pings)
     raw = pysas.simulate(
-        [point], [1.0], pysas.LFM(100e3, 20e3, 2e-3), tx=track, rx=track[:, None] + [0.1, 0.0, 0.0], fs=40e3, duration=0.01, c=c,
-        t0=0.024, velocity=np.tile([2.0, 0.1, 0.0], (pings, 1)), dtype=np.complex128,
+        [point], [1.0], pysas.LFM(100e3, 10e3, 4e-3, "tukey", 0.5), tx=track, rx=track[:, None] + [0.1, 0.0, 0.0], fs=40e3,
+        duration=0.01, c=c, t0=0.024, velocity=np.tile([2.0, 0.1, 0.0], (pings, 1)), dtype=np.complex128,
     )  # fmt: skip
     assert np.array_equal(raw.c, c)
     echoes = pysas.compress(raw)
@@ -149,7 +152,9 @@ ONE_SPEED = {
 def test_algorithms_of_one_speed_say_so(name):
     echoes = straight(16)
     echoes = echoes.replace(c=np.where(np.arange(16) < 5, 1500.0, 1501.0))
-    message = "c=1501 m/s at ping 5, 1500 m/s at ping 0: expected one speed of all pings: pysas.backproject, ffbp and focus take"
+    message = (
+        "c=1501 m/s at ping 5, 1500 m/s at ping 0: expected one speed of all pings: pysas.backproject, ffbp and focus take"
+    )
     with pytest.raises(ValueError, match=re.escape(message)):
         ONE_SPEED[name](echoes)
 
@@ -189,6 +194,6 @@ def test_speeds_that_cannot_be(name):
     with pytest.raises(kind, match=message):
         fast.replace(c=value)
     if name not in ("number", "slow"):
-        with pytest.raises(kind, match=message.replace("16", "16")):
+        with pytest.raises(kind, match=message):
             tx = np.zeros((16, 3))
             pysas.simulate([[0, 9, 0]], [1], pysas.LFM(1e5, 2e4, 1e-3), tx=tx, rx=tx, fs=4e4, duration=0.02, c=value)

@@ -112,7 +112,8 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
 
 _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
     "schema": ("text", ""), "data": ("samples", "T sample"), "fs": ("real", ""), "fc": ("real", ""),
-    "c": ("real", "", "ping"), "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"), "compressed": ("bool", ""),
+    "c": ("real", "", "ping"), "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"),
+    "compressed": ("bool", ""),
     "velocity": ("real", "ping 3", "T 3"), "bandwidth": ("real", ""), "ping_time": ("real", "ping"),
     "valid": ("whole", "ping 2", "T 2"),
     "pulse_kind": ("text", ""), "pulse_fc": ("real", ""), "pulse_bandwidth": ("real", ""), "pulse_duration": ("real", ""),
