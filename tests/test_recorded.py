@@ -9,6 +9,7 @@ from scenes import PLANE, C, bright, moving, ring, straight, survey
 
 import pysas
 from pysas.model.gaps import shortened, windows_of
+from pysas.signal.inspection import inspect
 
 ENGINES = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
 FEW = pysas.Grid.plane(np.arange(-20, 21) * 0.05, 19.0 + np.arange(20) * 0.06)
@@ -279,6 +280,15 @@ def test_references_take_what_was_not_recorded_for_zeros():
         assert np.array_equal(method(given).data, method(zeros).data)
     kept = pysas.reference.motion_compensate(given, seabed=-5.0)
     assert kept.valid is None and np.array_equal(kept.data, pysas.reference.motion_compensate(zeros, seabed=-5.0).data)
+
+
+def test_checks_and_explanations_are_of_what_was_recorded():
+    echoes = windowed(straight(32), channels=False)
+    states = {finding.name: finding.state for finding in inspect(echoes)}
+    assert states["finite samples"] == "ok" and states["silent traces"] == "warn"  # one holds nothing
+    share = np.mean(echoes.valid[:, 1] - echoes.valid[:, 0] + 1) / 900
+    assert f"{100 * (1 - share):.3g} % of the samples: not recorded" in pysas.plan(echoes, FEW).explain()
+    assert "not recorded" not in pysas.plan(straight(32), FEW).explain()
 
 
 def test_the_plain_sum_of_circular_crops():

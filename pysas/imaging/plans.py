@@ -228,6 +228,7 @@ class Plan:
         lines = [str(self), "  left out"]
         silent = scene.traces - int(np.count_nonzero(scene.heard))
         saved = 1 - c.length / scene.n_sample
+        recorded = float(np.mean(scene.valid[:, 1] - scene.valid[:, 0] + 1)) / scene.n_sample
         masked = 1 - scene.pixels / self.grid.size
         rows = [
             (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
@@ -235,6 +236,7 @@ class Plan:
             (not scene.uniform, "weights that differ from pixel to pixel: not asked for"),
             (not scene.beamed, f"beam: {'it reaches every pixel from every ping' if scene.all_lit else 'none given'}"),
             (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
+            (recorded < 1, f"{100 * (1 - recorded):.3g} % of the samples: not recorded"),
             (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),
             (silent > 0, f"{silent} of {scene.traces} traces: no pixel within their window"),
             (masked > 0, f"{100 * masked:.0f} % of the pixels: masked"),

@@ -112,9 +112,11 @@ def compress(
     transfer(0)  # errors before the work
     if out is None:
         out = np.empty(raw.data.shape, dtype=raw.dtype)
-    traces, windows, target = raw.traces, np.array(raw.windows), out if out.ndim == 3 else out[:, None]
+    traces, windows, target = raw.traces, raw.windows, out if out.ndim == 3 else out[:, None]
     rows = max(1, blocks.BYTES // (3 * size * raw.dtype.itemsize))
     done = shortened = 0
+    if nan == "mask":
+        windows = np.array(windows)
     for block in blocks.batches(traces.shape[0], traces.shape[1], rows):
         filters = np.stack([transfer(int(number)) for number in (which[block[0]] if len(different) > 1 else [0])])[:, None]
         recorded = np.asarray(traces[block])

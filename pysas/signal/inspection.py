@@ -24,7 +24,8 @@ class Finding:
 
 
 def inspect(echoes: Echoes) -> list[Finding]:
-    """All checks, in the order a person would fix things; O(samples)."""
+    """All checks, in the order a person would fix things, of what was recorded; O(samples)."""
+    echoes = echoes.whole()
     return [
         _finite(echoes),
         _silent(echoes),
