@@ -440,7 +440,7 @@ def recorded(seed: int) -> Scene:
         ends = low + (high - low) * d.rng.uniform((-0.2, 0.5), (0.5, 1.2), (*low.shape, 2)).transpose(2, 0, 1)
     else:
         ends = np.sort(d.rng.uniform(0, n, shape if kind == "anywhere" else (2, 1, 1)), axis=0)
-    ends = np.clip(np.rint(np.broadcast_to(ends, shape)), 0, n - 1).astype(int)
+    ends = np.sort(np.clip(np.rint(np.broadcast_to(ends, shape)), 0, n - 1).astype(int), axis=0)
     if echoes.data.ndim == 2 or d.maybe(0.3):
         ends = np.broadcast_to(ends[:, :, :1], shape)  # of pings
     first, last = ends
