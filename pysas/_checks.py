@@ -9,6 +9,8 @@ from __future__ import annotations
 import numbers
 import os
 import re
+import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -187,6 +189,15 @@ def threads(value: Any) -> int:
             raise ValueError(f"PYSAS_NUM_THREADS={text!r:.60}: expected a whole number, 1 to {MOST_THREADS}")
         return int(text)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def warn(text: str) -> None:
+    """Warn whoever called pysas, however many of its own functions lie between."""
+    frame, level = sys._getframe(1), 3
+    inside = ("pysas", "numpy", "contextlib")  # `usual_errors` among them
+    while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] in inside:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
 
 
 def optional(module: str, extra: str) -> ImportError:

@@ -99,7 +99,7 @@ def simulate(
     rx: npt.ArrayLike,
     fs: float,
     duration: float,
-    c: float = 1500.0,
+    c: float | npt.ArrayLike = 1500.0,
     t0: float | npt.ArrayLike = 0.0,
     velocity: npt.ArrayLike | None = None,
     fc: float | None = None,
@@ -133,8 +133,10 @@ def simulate(
         Transmitter at the instant of transmission, m.
     rx : (ping, channel, 3) or (ping, 3)
         Receivers at the instant of transmission, m; the data are (ping, channel, sample) or (ping, sample) accordingly.
-    fs, c : float
-        Sample rate, Hz; sound speed, m/s.
+    fs : float
+        Sample rate, Hz.
+    c : float or (ping,)
+        Sound speed, m/s: one, or each ping's own.
     duration : float
         Length of the record, s, at least the pulse's; sample n = 0 ... ceil(duration fs) - 1 is at t0 + n/fs.
     t0 : float or (ping,)
@@ -213,8 +215,9 @@ def simulate(
     geometry: dict[str, Any] = {"tx": transmitters, "rx": receivers, "t0": t0, "velocity": velocity, "ping_time": ping_time}
     data = np.zeros(shape, dtype=_complex_type(dtype))
     # validates what is left before the work starts; the samples are filled in below
+    speed: Any = c
     extra = {} if attrs is None else attrs
-    echoes = Echoes(data, fs=fs, fc=fc, c=c, pulse=pulse, compressed=False, attrs=extra, beam=beam, **geometry)
+    echoes = Echoes(data, fs=fs, fc=fc, c=speed, pulse=pulse, compressed=False, attrs=extra, beam=beam, **geometry)
     share = _aliased(pulse, fc, fs)
     if share > _ALIASED:
         warnings.warn(
@@ -315,7 +318,8 @@ def _fill(
     moving = echoes.receiver_velocity
     velocity = np.zeros(rx.shape) if moving is None else np.array(moving, order="C")
     lamps, beam = _lamp(echoes.beam, n_ping)
-    model, window, terms = _model(pulse, echoes.fc, echoes.fs, echoes.c)
+    model, window, terms = _model(pulse, echoes.fc, echoes.fs)
+    speeds = np.array(echoes.speeds)
     cost = (16 + 2 * model[3] * echoes.fs) * (1 + 4 * sum(directive))  # of an echo, in samples without a pattern
     step = max(1, int(_TASK_SAMPLES / cost))
     n_trace, chunks = n_ping * n_channel, range(0, max(len(points), 1), step)
@@ -327,7 +331,7 @@ def _fill(
     def add(block: int, first: int, task: int) -> None:
         trace, row = block + task, sums[task]
         ping, channel = divmod(trace, n_channel)
-        geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping])
+        geometry = (tx[ping], rx[ping, channel], velocity[ping, channel], start[ping], speeds[ping])
         faces = (elements[0][ping], elements[1][ping])
         last = min(first + step, len(points))
         what = (geometry, model, window, terms, spreading, faces, directive, lamps[ping], beam)
@@ -354,10 +358,10 @@ def _fill(
     return float(power.mean() / n_sample)
 
 
-def _model(pulse: LFM, fc: float, fs: float, c: float) -> tuple[tuple[float, ...], int, tuple[float, ...]]:
+def _model(pulse: LFM, fc: float, fs: float) -> tuple[tuple[float, ...], int, tuple[float, ...]]:
     """What the kernel needs of pulse and sampling, the window's number, and the window's terms."""
     half = (pulse.support[1] - pulse.support[0]) / 2
-    model = (pulse.fc, pulse.rate, pulse.duration, half, fc, fs, c)
+    model = (pulse.fc, pulse.rate, pulse.duration, half, fc, fs)
     parameter = pulse.window_parameter or 0.0
     window = WINDOWS.index(pulse.window)
     terms = (parameter, 0.0, 0.0, 0.0)

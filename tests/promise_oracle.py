@@ -103,7 +103,7 @@ def lobe(away, boresight, axis, beam):
 
 
 @numba.njit(cache=True)
-def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, axis, beam, weights):
+def _sum(data, fs, fc, start, tx, rx, velocity, c, ends, points, boresight, axis, beam, weights):
     """Image, squared level, and how near (in slacks) any term comes to where it would be counted otherwise."""
     pings, channels, samples = data.shape
     image, power = np.zeros(len(points), np.complex128), np.zeros(len(points))
@@ -122,14 +122,17 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, axis, beam
             if not lit:
                 continue
             for k in range(channels):
-                tau = delay(np.sqrt(squared), points[i] - rx[p, k], velocity[p, k], c)
+                tau = delay(np.sqrt(squared), points[i] - rx[p, k], velocity[p, k], c[p])
                 u = (tau - start[p]) * fs
-                away_from = min(abs(u + RECORD_SLACK), abs(u - samples + 1 - RECORD_SLACK))
+                first, last = ends[p, k]
+                if last < first:
+                    continue
+                away_from = min(abs(u - first + RECORD_SLACK), abs(u - last - RECORD_SLACK))
                 nearest[i] = min(nearest[i], away_from / RECORD_SLACK)
                 weight = weights[min(i, len(weights) - 1), p, k]
-                if u < -RECORD_SLACK or u > samples - 1 + RECORD_SLACK or weight == 0:
+                if u < first - RECORD_SLACK or u > last + RECORD_SLACK or weight == 0:
                     continue
-                value = weight * light * _read(data[p, k], min(max(u, 0.0), samples - 1.0), turn, half)
+                value = weight * light * _read(data[p, k, first : last + 1], min(max(u, first), last) - first, turn, half)
                 turns = fc * tau
                 turns -= np.rint(turns)
                 image[i] += value * np.exp(2j * np.pi * turns)
@@ -138,7 +141,7 @@ def _sum(data, fs, fc, start, tx, rx, velocity, c, points, boresight, axis, beam
 
 
 @numba.njit(cache=True)
-def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, axis, beam, used):
+def _any(fs, start, ends, tx, rx, velocity, c, points, boresight, axis, beam, used):
     """Whether any term of `used` traces counts at any of the points."""
     away = np.zeros(3)
     for i in range(len(points)):
@@ -149,8 +152,9 @@ def _any(fs, start, samples, tx, rx, velocity, c, points, boresight, axis, beam,
             if not lobe(away, boresight[p], axis[p], beam)[0]:
                 continue
             for k in range(rx.shape[1]):
-                u = (delay(outward, points[i] - rx[p, k], velocity[p, k], c) - start[p]) * fs
-                if used[p, k] and -RECORD_SLACK <= u <= samples - 1 + RECORD_SLACK:
+                u = (delay(outward, points[i] - rx[p, k], velocity[p, k], c[p]) - start[p]) * fs
+                first, last = ends[p, k]
+                if used[p, k] and first <= last and first - RECORD_SLACK <= u <= last + RECORD_SLACK:
                     return True
     return False
 
@@ -171,15 +175,27 @@ def _geometry(echoes):
     return (*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), beam)
 
 
+def _speeds(echoes):
+    """(ping,) sound speeds."""
+    return np.full(echoes.n_ping, echoes.c) if isinstance(echoes.c, float) else np.array(echoes.c)
+
+
+def _ends(echoes):
+    """(ping, channel, 2) first and last sample recorded."""
+    valid = np.tile([0, echoes.n_sample - 1], (echoes.n_ping, 1)) if echoes.valid is None else echoes.valid
+    valid = valid if valid.ndim == 3 else np.tile(valid[:, None], (1, echoes.n_channel, 1))
+    return np.ascontiguousarray(valid)
+
+
 def delays(echoes, points):
     """(point, ping, channel) travel times, s."""
     _, tx, rx, velocity, *_ = _geometry(echoes)
-    out = np.empty((len(points), *rx.shape[:2]))
+    out, c = np.empty((len(points), *rx.shape[:2])), _speeds(echoes)[:, None]
     for i, point in enumerate(points):
         outward, e = np.linalg.norm(point - tx, axis=1)[:, None], point - rx
         ee, ev, vv = (np.sum(a * b, axis=-1) for a, b in ((e, e), (e, velocity), (velocity, velocity)))
-        root = echoes.c**2 * ee - 2 * echoes.c * outward * ev + ev**2 + vv * (outward**2 - ee)
-        out[i] = (echoes.c * outward - ev + np.sqrt(np.maximum(root, 0))) / (echoes.c**2 - vv)
+        root = c**2 * ee - 2 * c * outward * ev + ev**2 + vv * (outward**2 - ee)
+        out[i] = (c * outward - ev + np.sqrt(np.maximum(root, 0))) / (c**2 - vv)
     return out
 
 
@@ -193,7 +209,20 @@ def direct_sum(echoes, points, weights=None):
     start, tx, rx, velocity, boresight, axis, beam = _geometry(echoes)
     data = np.ascontiguousarray(echoes.traces, np.complex128)
     image, power, nearest = _sum(
-        data, echoes.fs, echoes.fc, start, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, axis, beam, w
+        data,
+        echoes.fs,
+        echoes.fc,
+        start,
+        tx,
+        rx,
+        velocity,
+        _speeds(echoes),
+        _ends(echoes),
+        np.ascontiguousarray(points),
+        boresight,
+        axis,
+        beam,
+        w,
     )
     return image, np.sqrt(power), nearest > UNSURE
 
@@ -203,7 +232,7 @@ def any_term(echoes, points, used):
     start, tx, rx, velocity, boresight, axis, beam = _geometry(echoes)
     return bool(
         _any(
-            echoes.fs, start, echoes.n_sample, tx, rx, velocity, echoes.c, np.ascontiguousarray(points), boresight, axis, beam,
-            np.ascontiguousarray(used),
+            echoes.fs, start, _ends(echoes), tx, rx, velocity, _speeds(echoes), np.ascontiguousarray(points), boresight, axis,
+            beam, np.ascontiguousarray(used),
         )
     )  # fmt: skip

@@ -6,7 +6,7 @@ is drawn. Lengths are in units of a range sample, c/(2 fs): how far apart, how f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -417,6 +417,46 @@ def draw(seed: int) -> Scene:
         f"{'no' if weights is None else weights if isinstance(weights, str) else weights.dtype}, nan {nan}"
     )
     return Scene(seed, family, words, echoes, view, float(tol), weights, nan, lenient)
+
+
+def recorded(seed: int) -> Scene:
+    """The scene of a seed whose pings have sound speeds of their own, or whose traces were recorded in parts, or both."""
+    scene, d = draw(seed), Draw(seed, "recorded")
+    echoes, words, nan = scene.echoes, scene.words, scene.nan
+    pings, channels, n = echoes.traces.shape
+    spread = d.one((0.0, 1e-4, 5e-3, 3e-2))
+    if spread:
+        echoes = echoes.replace(c=echoes.speed * (1 + spread * d.rng.uniform(-1, 1, pings)))
+        words += f", speeds within {100 * spread:g} %"
+    if spread and d.maybe(0.3):
+        return replace(scene, echoes=echoes, words=words)
+    some = scene.grid.coordinates(np.unique(d.rng.integers(0, scene.grid.size, 40)))
+    place = (oracle.delays(echoes, some) - echoes.start_time[:, None]) * echoes.fs
+    low, high = place.min(axis=0), place.max(axis=0)
+    kind, shape = d.one(("ragged", "across pixels", "anywhere", "one of all")), (2, pings, channels)
+    if kind == "ragged":
+        ends = np.stack([low - d.rng.uniform(-5, 100, low.shape), high + d.rng.uniform(-5, 100, low.shape)])
+    elif kind == "across pixels":
+        ends = low + (high - low) * d.rng.uniform((-0.2, 0.5), (0.5, 1.2), (*low.shape, 2)).transpose(2, 0, 1)
+    else:
+        ends = np.sort(d.rng.uniform(0, n, shape if kind == "anywhere" else (2, 1, 1)), axis=0)
+    ends = np.sort(np.clip(np.rint(np.broadcast_to(ends, shape)), 0, n - 1).astype(int), axis=0)
+    if echoes.data.ndim == 2 or d.maybe(0.3):
+        ends = np.broadcast_to(ends[:, :, :1], shape)  # of pings
+    first, last = ends
+    inside = (np.arange(n) >= first[..., None]) & (np.arange(n) <= last[..., None])
+    fill = d.one((1.0, 1e3, np.nan))
+    if nan == "mask" and d.maybe(0.5):
+        fill, valid = np.nan, None  # padded: the engines find out
+    else:
+        last = np.where(d.rng.random((pings, 1)) < 0.05, first - 1, last)  # nothing
+        valid = np.stack([first, last], axis=-1)
+        if echoes.data.ndim == 2 or np.all(valid == valid[:, :1]):
+            valid = valid[:, 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        data = np.where(inside, echoes.traces, echoes.traces * echoes.dtype.type(fill)).reshape(echoes.data.shape)
+    words += f", recorded {kind}, {'padded' if valid is None else f'beside samples x {fill:g}'}"
+    return replace(scene, echoes=echoes.replace(data=data, valid=valid), words=words)
 
 
 def lobe(seed: int, look: np.ndarray, half: float) -> pysas.Beam:

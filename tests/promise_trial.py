@@ -79,9 +79,10 @@ def ways(scene: Scene, everything: bool) -> list[Way]:
 
 
 def _expressible(scene: Scene) -> bool:
-    """Whether the C library's structs can say it: no complex or pixels' own weights, no traces to leave out."""
+    """Whether `c_library` can say it: no complex or pixels' own weights, no traces to leave out, one speed, whole records."""
     real = scene.weights is None or (isinstance(scene.weights, np.ndarray) and scene.weights.dtype.kind == "f")
-    return real and scene.nan == "raise"
+    echoes = scene.echoes
+    return real and scene.nan == "raise" and isinstance(echoes.c, float) and echoes.valid is None
 
 
 @dataclass
@@ -115,13 +116,33 @@ def _prepared(scene: Scene) -> tuple[pysas.Echoes, np.ndarray]:
     """Echoes whose traces left out are zeros, and the (ping, channel) weights of the others."""
     echoes = scene.echoes
     traces = echoes.traces
-    finite = np.isfinite(traces).all(axis=2)
+    at, valid = np.arange(echoes.n_sample), _recorded(scene)
+    inside = (at >= valid[..., :1]) & (at <= valid[..., 1:])
+    finite = (np.isfinite(traces) | ~inside).all(axis=2)
     weights = np.ones(finite.shape, complex)
     if isinstance(scene.weights, np.ndarray):
         weights = weights * (scene.weights if scene.weights.ndim == 2 else scene.weights[:, None])
     weights[~finite] = 0
-    data = np.where(finite[..., None], traces, 0).astype(np.complex128).reshape(echoes.data.shape)
-    return echoes.replace(data=data), weights
+    data = np.where(finite[..., None] & inside, traces, 0).astype(np.complex128).reshape(echoes.data.shape)
+    return echoes.replace(data=data, valid=valid if echoes.data.ndim == 3 else valid[:, 0]), weights
+
+
+def _recorded(scene: Scene) -> np.ndarray:
+    """(ping, channel, 2) first and last sample that count, without NaN at the ends where these are masked."""
+    valid = np.zeros((*scene.echoes.traces.shape[:2], 2), dtype=int) + np.array([0, scene.echoes.n_sample - 1])
+    if scene.echoes.valid is not None:
+        valid[...] = scene.echoes.valid if scene.echoes.valid.ndim == 3 else scene.echoes.valid[:, None]
+    if scene.nan == "mask":
+        for ping, channel in np.ndindex(valid.shape[:2]):
+            first, last = valid[ping, channel]
+            good = np.isfinite(scene.echoes.traces[ping, channel])
+            while first < last and not good[first]:
+                first += 1
+            while first < last and not good[last]:
+                last -= 1
+            if good[first : last + 1].all():
+                valid[ping, channel] = first, last
+    return valid
 
 
 def _direct(scene: Scene, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

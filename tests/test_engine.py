@@ -45,13 +45,14 @@ def test_delays_satisfy_their_equation(kind):
     rng = np.random.default_rng(1)
     g = np.zeros((), TRACE)
     g["tx"], g["rx"] = rng.uniform(-5, 5, (2, 3))
+    g["c"] = 1500.0
     if kind == MONOSTATIC:
         g["rx"] = g["tx"]
     if kind == MOVING:
         g["velocity"] = rng.uniform(-20, 20, 3)
     x = rng.uniform(-50, 50, (3, 200))
     tau = np.empty(200)
-    _numba._delays(kind, reals(g), 1500.0, x[0], x[1], x[2], 200, tau)
+    _numba._delays(kind, reals(g), x[0], x[1], x[2], 200, tau)
     wide, tau = x.T.astype(np.longdouble), tau.astype(np.longdouble)
     back = np.sqrt(np.sum((wide - g["rx"] - g["velocity"] * tau[:, None]) ** 2, axis=1))
     there = np.sqrt(np.sum((wide - g["tx"]) ** 2, axis=1))
@@ -168,8 +169,8 @@ def test_a_filter_s_error_is_what_it_does_to_components(band, degree, phases, st
 
 
 def test_reals_of_records_lie_where_their_fields_do():
-    """Numba's kernels read fields by their places among the reals, C++ by those of its structs of 18 and 10 doubles."""
-    assert TRACE.itemsize == 18 * 8 and MODEL.itemsize == 10 * 8
+    """Numba's kernels read fields by their places among the reals, C++ by those of its structs of 21 and 10 doubles."""
+    assert TRACE.itemsize == 21 * 8 and MODEL.itemsize == 10 * 8
     for kind in (TRACE, MODEL):
         some = np.zeros(3, kind)
         for number, name in enumerate(kind.names):

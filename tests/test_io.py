@@ -60,6 +60,11 @@ ECHOES: dict[str, Callable[[], Echoes]] = {
     "velocity of the ping, beam of the ping": lambda: survey(
         velocity=np.ones((4, 3)), beam=Beam(np.tile([0.0, 2.0, 0.1], (4, 1)), 0.1, 1.0)
     ),
+    "speeds and windows of pings": lambda: survey(
+        c=np.linspace(1490, 1500, 4), valid=np.array([[0, 11], [3, 9], [5, 4], [0, -1]])
+    ),
+    "windows of traces": lambda: survey(valid=np.tile([[0, 7], [2, 11]], (4, 1, 1))),
+    "two dimensions, windows": lambda: survey(flat=True, c=np.full(4, 1500.0), valid=np.tile([1, 7], (4, 1))),
     "cone, taper": lambda: survey(beam=Beam((0.0, 1.0, -0.3), 0.05, 2.4, "cone", 0.3)),
     "axis of the array": lambda: survey(beam=Beam(np.tile([0.0, 2.0, 0.1], (4, 1)), 0.1, 1.0, taper=1.0, axis=(1.0, 0.2, 0.0))),
     "axis of the ping": lambda: survey(beam=Beam((0.0, 0.0, -1.0), 0.1, 1.0, axis=np.tile([1.0, 0.1, 0.0], (4, 1)))),
@@ -232,6 +237,12 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "no pings": ({"data": np.zeros((0, 2, 12), dtype=np.complex64)}, r"t0: found shape \(4,\), expected \(\) or \(ping=0,\)"),
     "many dimensions": ({"data": np.zeros((4, 2, 3, 4), dtype=np.complex64)}, r"data: found shape \(4, 2, 3, 4\)"),
     "t0 of the wrong length": ({"t0": np.zeros(5)}, r"t0: found shape \(5,\), expected \(\) or \(ping=4,\)"),
+    "c of the wrong length": ({"c": np.zeros(5)}, r"c: found shape \(5,\), expected \(\) or \(ping=4,\)"),
+    "a speed below zero": ({"c": np.array([1500.0, 1500.0, -1.0, 1500.0])}, "c: -1 at ping 2: expected numbers > 0"),
+    "real windows": ({"valid": np.zeros((4, 2))}, r"valid: found float64 of shape \(4, 2\), expected int64 or int32"),
+    "windows of other pings": ({"valid": np.zeros((3, 2), int)}, r"valid: found shape \(3, 2\), expected \(ping=4, 2\) or"),
+    "windows of other channels": ({"valid": np.zeros((4, 3, 2), int)}, r"valid: found shape \(4, 3, 2\), .*channel=2, 2\)"),
+    "windows beyond": ({"valid": np.tile([0, 12], (4, 1))}, "valid: samples 0 to 12 at ping 0: expected .* <= last <= 11"),
     "text for fs": ({"fs": "fast"}, "fs: found .*expected float64"),
     "number for attrs": ({"attrs": np.float64(1)}, "attrs: found float64 .*expected a string"),
     "attrs no JSON": ({"attrs": "{"}, "attrs: found no JSON"),

@@ -33,6 +33,19 @@ def test_promise_is_kept(first):
     assert not broken, "\n" + "\n".join(broken)
 
 
+@pytest.mark.parametrize("first", range(0, SCENES // 2, 10))
+def test_promise_is_kept_of_what_was_recorded_at_each_pings_speed(first):
+    """The same of scenes with a sound speed a ping, with windows of what was recorded, or padded with NaN."""
+    broken = []
+    for seed in range(first, first + 10):
+        faulthandler.dump_traceback_later(LONGEST, exit=True)
+        try:
+            broken += [promise.words(o) for o in promise_trial.trial(promise_scenes.recorded(seed)) if o.verdict == "broken"]
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    assert not broken, "\n" + "\n".join(broken)
+
+
 @pytest.mark.parametrize("seed", [705, 1288, 1351, 2297, 1982, 3190, 31103, 32430, 30248])
 def test_promise_is_kept_where_it_was_broken(seed):
     """Blasts alike in all traces of one place, relief between sensors, sensors apart in every other ping, tails of impulses,

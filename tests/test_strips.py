@@ -76,6 +76,27 @@ def test_each_image_keeps_tol(backwards, shape):
         assert not np.any(pysas.reference.exact(echoes, grid)[1])
 
 
+def test_speeds_and_windows_of_pings_go_through_blocks():
+    echoes, rng = survey(), np.random.default_rng(5)
+    windows = np.stack([rng.integers(0, 60, (60, 8)), rng.integers(500, 640, (60, 8))], axis=-1)
+    echoes = echoes.replace(c=C * (1 + 0.003 * rng.uniform(-1, 1, 60)), valid=windows)
+
+    def pings():
+        for ping in range(60):
+            one = some(echoes.replace(c=C, valid=None), np.array([ping]))
+            yield one.replace(c=float(echoes.c[ping]), valid=windows[ping : ping + 1])
+
+    images = list(pysas.Strip(Y, 0.05, 2.0, tol=1e-3, backend="numba").stream(pings()))
+    assert len(images) >= 6
+    for image in images[1:-1:3]:
+        assert wrong(image, echoes, 1e-3) <= 1
+    halves = [pysas.survey.pings.part(echoes, *ends) for ends in ((0, 20), (20, 60))]
+    again = pysas.survey.pings.joined(halves)
+    assert np.array_equal(again.c, echoes.c) and np.array_equal(again.valid, echoes.valid)
+    mixed = pysas.survey.pings.joined([halves[0].replace(c=C, valid=None), halves[1]])
+    assert mixed.c[:20].tolist() == [C] * 20 and mixed.valid[:20].tolist() == [[[0, 639]] * 8] * 20
+
+
 def test_blocks_make_no_difference_beyond_tol():
     echoes = survey()
     whole = np.concatenate([image.data for image in pysas.Strip(Y, 0.05, 2.0, tol=1e-3).stream([echoes])], axis=1)

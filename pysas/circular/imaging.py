@@ -105,7 +105,7 @@ def resampled_sum(echoes: Echoes, grid: Grid, *, normalised: bool = True) -> Com
     _compressed(echoes)
     if not isinstance(grid, Grid):
         raise TypeError(f"grid={grid!r}: expected a pysas.Grid")
-    wavelength = echoes.c / echoes.fc
+    wavelength = echoes.speed / echoes.fc
     centre, radius, azimuth = _circle(echoes, wavelength)
     order = np.argsort(azimuth)
     steps = np.diff(azimuth[order], append=azimuth[order[0]] + 2 * np.pi)
@@ -132,7 +132,7 @@ def _compressed(echoes: Echoes) -> None:
         raise TypeError(f"echoes={echoes!r}: expected pysas.Echoes")
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
-    finite = np.isfinite(echoes.traces)
+    finite = np.isfinite(echoes.whole().traces)
     if not finite.all():
         ping, channel, sample = (int(i) for i in np.argwhere(~finite)[0])
         raise ValueError(f"data: not finite at ping {ping}, channel {channel}, sample {sample}: expected finite samples")
@@ -158,23 +158,24 @@ def _beam(echoes: Echoes, points: FloatArray, ping: int) -> FloatArray:
 
 def _terms(echoes: Echoes, points: FloatArray, ping: int, channel: int) -> Complex:
     """s(tau) exp(2j pi fc tau) at `points`, 0 outside the record."""
+    c, (first, last) = float(echoes.speeds[ping]), echoes.windows[ping, channel]
     outward = np.linalg.norm(points - echoes.tx[ping], axis=-1)
     path = points - echoes.receivers[ping, channel]
     squared = np.sum(path**2, axis=-1)
     if echoes.receiver_velocity is None:
-        tau = (outward + np.sqrt(squared)) / echoes.c
+        tau = (outward + np.sqrt(squared)) / c
     else:
         velocity = echoes.receiver_velocity[ping, channel]
         # (c^2 - v^2) tau^2 - 2 (c outward - path.v) tau + outward^2 - |path|^2 = 0
-        lead = echoes.c**2 - float(velocity @ velocity)
-        half = echoes.c * outward - path @ velocity
+        lead = c**2 - float(velocity @ velocity)
+        half = c * outward - path @ velocity
         tau = (half + np.sqrt(half**2 + lead * (squared - outward**2))) / lead
     position = (tau - echoes.start_time[ping]) * echoes.fs
-    last = echoes.n_sample - 1
-    inside = (position >= -EDGE) & (position <= last + EDGE)
+    inside = (position >= first - EDGE) & (position <= last + EDGE)
     values = np.zeros(len(points), dtype=np.complex128)
     if inside.any():
-        read = _read(echoes.traces[ping, channel], np.clip(position[inside], 0, last))
+        recorded = echoes.traces[ping, channel, first : last + 1]
+        read = _read(recorded, np.clip(position[inside], first, last) - first)
         values[inside] = read * np.exp(2j * np.pi * np.mod(echoes.fc * tau[inside], 1.0))
     return values
 

@@ -16,7 +16,9 @@ import numpy as np
 from pysas import _checks, plot
 from pysas.formats import depth_maps, files, io
 from pysas.formats.containers import container
+from pysas.imaging import words
 from pysas.model.echoes import Echoes
+from pysas.model.gaps import shortened
 from pysas.model.grid import Grid
 from pysas.planning import framing
 from pysas.planning.relief import laid_over
@@ -120,11 +122,20 @@ def read(arguments: argparse.Namespace) -> Echoes:
 
 
 def silenced(echoes: Echoes) -> Echoes:
-    """Traces that hold a non-finite sample set to zero: compression would spread it, and zeros add nothing to an image."""
-    bad = np.array([~np.isfinite(traces).all(axis=-1) for traces in echoes.traces])
+    """Traces that hold a non-finite sample set to zero: compression would spread it, and zeros add nothing to an image.
+
+    Where all such samples lie at its ends they shorten the trace's `valid` instead.
+    """
+    echoes, count = shortened(echoes)
+    if count:
+        warnings.warn(words.shortened(count, echoes.n_ping * echoes.n_channel), stacklevel=2)
+    bad = np.zeros(echoes.traces.shape[:2], dtype=np.bool_)
+    for ping, channel in np.ndindex(bad.shape):
+        first, last = echoes.windows[ping, channel]
+        bad[ping, channel] = not np.isfinite(echoes.traces[ping, channel, first : last + 1]).all()
     if not bad.any():
         return echoes
-    warnings.warn(f"{np.count_nonzero(bad)} of {bad.size} traces left out: non-finite samples", stacklevel=2)
+    warnings.warn(words.left_out(int(np.count_nonzero(bad)), bad.size), stacklevel=2)
     data = echoes.data.copy()
     data[bad if data.ndim == 3 else bad[:, 0]] = 0
     return echoes.replace(data=data)

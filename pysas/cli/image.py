@@ -130,13 +130,13 @@ def imaged(
     _checks.number("--dynamic-range", choices.dynamic_range, positive=True)
     if echoes.compressed and choices.window is not None:
         raise ValueError(f"--window {choices.window}: {raw} is range-compressed already: expected raw echoes")
+    seconds, compressed = {}, None
+    if choices.nan == "mask" and not echoes.compressed:
+        echoes = silenced(echoes)
     # planned first: what cannot be met is said before anything is compressed
     chosen = plan_ahead(echoes, grid, tol, choices.method, threads, choices.backend, choices.nan, choices.weights)
-    seconds, compressed = {}, None
     if not echoes.compressed:
         clock = time.perf_counter()
-        if choices.nan == "mask":
-            echoes = silenced(echoes)
         compressed = f"matched filter of {_pulse(echoes)}, window {choices.window or 'none'}"
         echoes = compression.compress(echoes, choices.window, threads=threads, progress=progress.step("compressing"))
         seconds["compress"] = time.perf_counter() - clock

@@ -41,7 +41,8 @@ def _of_echoes(echoes: Echoes, tol: float, explained: bool) -> tuple[dict[str, A
     along = framing.along_track_resolution(echoes)
     values = {
         "kind": "echoes", "shape": list(echoes.data.shape), "dtype": str(echoes.dtype), "compressed": echoes.compressed,
-        "fs": echoes.fs, "fc": echoes.fc, "c": echoes.c, "bandwidth": echoes.occupied_bandwidth, "swath": [near, far],
+        "fs": echoes.fs, "fc": echoes.fc, "c": np.asarray(echoes.c).tolist(),
+        "bandwidth": echoes.occupied_bandwidth, "swath": [near, far],
         "range_resolution": echoes.range_resolution, "along_track_resolution": along,
         "phase_centre_spacing": list(echoes.phase_centre_spacing()), "track": {"tx": tx, "rx": rx, "closed": track.closed,
         "direction": float(np.degrees(track.rotation))}, "warnings": echoes.warnings(),

@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 from pysas.engine._numba_reach import (
     ACROSS,
     FC,
+    FIRST,
     FS,
     FULL_ANGLE,
     HALF_ANGLE,
@@ -135,8 +136,9 @@ def _add_terms(typingctx, pairs, coefficients, interval, t2, cosines, sines, m, 
 
 
 @njit(nogil=True, cache=True, fastmath=_FAST)
-def _delays(kind, g, c, x, y, z, count, out):
+def _delays(kind, g, x, y, z, count, out):
     """Two-way travel times, s. Moving: the positive root of (c^2 - v^2) tau^2 - 2 (c D - d.v) tau + D^2 - d^2 = 0."""
+    c = g[C]
     tx, ty, tz = g[TX], g[TX + 1], g[TX + 2]
     rx, ry, rz = g[RX], g[RX + 1], g[RX + 2]
     if kind == MONOSTATIC:
@@ -199,14 +201,14 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
     `part` (2, BLOCK) of `real` carries position and phase from the float64 loop to the short one.
     """
     count = x.size
-    _delays(kind, g, model[C], x, y, z, count, tau)
+    _delays(kind, g, x, y, z, count, tau)
     first = np.int32(g[INTERVAL])
     terms = 0
     shape, half, full = model[SHAPE], model[HALF_ANGLE], model[FULL_ANGLE]
     beam_cosine, beam_sine, tapered = np.cos(half), np.sin(half), full < half
     for m in range(count):
         index = (tau[m] - g[T0]) * model[FS]
-        counts = index >= -EDGE and index <= model[LAST] + EDGE
+        counts = index >= g[FIRST] - EDGE and index <= g[LAST] + EDGE
         weight = 1.0
         if shape != NO_BEAM:
             sine, cosine, side = off_middle(shape, g, x[m] - g[TX], y[m] - g[TX + 1], z[m] - g[TX + 2])
@@ -215,7 +217,7 @@ def _exact_block(kind, g, model, x, y, z, tau, part, sin_terms, cos_terms, at, i
             if counts and tapered:
                 weight = beam_weight(sine, cosine, full, half)
         terms += counts
-        u = (min(max(index, 0.0), model[LAST]) - g[KEPT]) * model[RATE] if counts else 0.0
+        u = (min(max(index, g[FIRST]), g[LAST]) - g[KEPT]) * model[RATE] if counts else 0.0
         low = np.floor(u)
         interval[np.uintp(at + m)] = first + np.int32(low)
         position = u - low - 0.5
@@ -252,7 +254,7 @@ def _polynomials(kind, g, model, fit, nodes, tau, poly, start):
     poly[0..4]: intervals after `start` at x in [-1, 1]; poly[5]: turns of phase at the block's centre.
     """
     rows = start.size
-    _delays(kind, g, model[C], nodes[0], nodes[1], nodes[2], NODES * rows, tau)
+    _delays(kind, g, nodes[0], nodes[1], nodes[2], NODES * rows, tau)
     scale = model[FS] * model[RATE]
     offset = (g[T0] * model[FS] + g[KEPT]) * model[RATE]
     fc, first = model[FC], np.int32(g[INTERVAL])

@@ -13,10 +13,9 @@ from pysas.model.beam import EDGE_ANGLE
 from pysas.model.echoes import EDGE
 
 # where the reals of a trace and of the model are, see traces.py
-TX, RX, VELOCITY, BORESIGHT, AXIS, T0, KEPT, INTERVAL = (
-    place(TRACE, name) for name in ("tx", "rx", "velocity", "boresight", "axis", "t0", "kept", "interval")
-)
-C, FC, FS, RATE, LAST, NEAR, RUN = (place(MODEL, name) for name in ("c", "fc", "fs", "rate", "last", "near", "run"))
+TX, RX, VELOCITY, BORESIGHT, AXIS = (place(TRACE, name) for name in ("tx", "rx", "velocity", "boresight", "axis"))
+T0, C, FIRST, LAST, KEPT, INTERVAL = (place(TRACE, name) for name in ("t0", "c", "first", "last", "kept", "interval"))
+FC, FS, RATE, NEAR, RUN = (place(MODEL, name) for name in ("fc", "fs", "rate", "near", "run"))
 SHAPE, HALF_ANGLE, FULL_ANGLE = (place(MODEL, "beam") + place(BEAM, name) for name in ("shape", "half_angle", "full_angle"))
 OUTSIDE, INSIDE, ACROSS = 0, 1, 2
 EDGE_MARGIN = 0.01  # samples: nearer to a record's ends every pixel's own delay decides
@@ -32,11 +31,11 @@ def _window(g, model, least, most):
     """Whether distances out and home that sum to `least` to `most` lie outside, inside or across the record's window."""
     speed = np.sqrt(g[VELOCITY] ** 2 + g[VELOCITY + 1] ** 2 + g[VELOCITY + 2] ** 2)
     # one part in 1e9 of slack: rounding must never decide what the exact block should
-    low = (least / (model[C] + speed) * (1 - 1e-9) - g[T0]) * model[FS]
-    high = (most / (model[C] - speed) * (1 + 1e-9) - g[T0]) * model[FS]
-    if high < -EDGE or low > model[LAST] + EDGE:
+    low = (least / (g[C] + speed) * (1 - 1e-9) - g[T0]) * model[FS]
+    high = (most / (g[C] - speed) * (1 + 1e-9) - g[T0]) * model[FS]
+    if high < g[FIRST] - EDGE or low > g[LAST] + EDGE:
         return OUTSIDE
-    return INSIDE if low >= EDGE_MARGIN and high <= model[LAST] - EDGE_MARGIN else ACROSS
+    return INSIDE if low >= g[FIRST] + EDGE_MARGIN and high <= g[LAST] - EDGE_MARGIN else ACROSS
 
 
 @njit(nogil=True, cache=True)

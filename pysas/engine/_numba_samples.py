@@ -10,13 +10,15 @@ from numba import njit
 
 
 @njit(nogil=True, cache=True)
-def peaks(traces, begin, end, out):
-    """Largest real or imaginary part of samples begin to end of each trace (ping, channel), or inf where any is not finite."""
-    pings, channels, n_sample = traces.shape
+def peaks(traces, valid, begin, end, out):
+    """Largest real or imaginary part of samples begin to end of each trace (ping, channel), or inf where any that was recorded,
+    valid (ping, channel, 2), is not finite.
+    """
+    pings, channels, _ = traces.shape
     for ping in range(pings):
         for channel in range(channels):
             finite, most = True, 0.0
-            for n in range(n_sample):
+            for n in range(valid[ping, channel, 0], valid[ping, channel, 1] + 1):
                 s = traces[ping, channel, n]
                 finite &= np.isfinite(s.real) and np.isfinite(s.imag)
             for n in range(begin[ping, channel], end[ping, channel]):
@@ -26,13 +28,13 @@ def peaks(traces, begin, end, out):
 
 
 @njit(nogil=True, cache=True)
-def mean_squares(data, trace, place, reach, inverse, out):
+def mean_squares(data, valid, trace, place, reach, inverse, out):
     """See summation.mean_squares."""
-    channels, last = data.shape[1], data.shape[2] - 1
+    channels = data.shape[1]
     for i in range(trace.size):
         ping, channel = divmod(trace[i], channels)
         total = 0.0
-        for n in range(max(place[i] - reach, 0), min(place[i] + reach, last) + 1):
+        for n in range(max(place[i] - reach, valid[trace[i], 0]), min(place[i] + reach, valid[trace[i], 1]) + 1):
             s = data[ping, channel, n]
             total += (np.float64(s.real) * inverse) ** 2 + (np.float64(s.imag) * inverse) ** 2
         out[i] = total / (2 * reach + 1)

@@ -113,16 +113,19 @@ class Parts(Engine, Protocol):
     sums: int
     slab: int
 
-    def peaks(self, data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
-        """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where the
-        trace is not, within or without them."""
-
-    def mean_squares(
-        self, data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float,
+    def peaks(
+        self, data: ComplexArray, valid: npt.NDArray[np.int64], begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64],
         threads: int,
     ) -> FloatArray:  # fmt: skip
-        """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off
-        records."""
+        """Largest |real| or |imaginary| part of samples [begin, end) of each trace, (ping, channel); not finite where any
+        sample is not that was recorded, `valid` (trace, 2): the first and the last."""
+
+    def mean_squares(
+        self, data: ComplexArray, valid: npt.NDArray[np.int64], trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64],
+        reach: int, scale: float, threads: int,
+    ) -> FloatArray:  # fmt: skip
+        """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; those not
+        recorded (`valid`, as above) count as 0."""
 
     def accumulate(
         self, data: ComplexArray, order: npt.NDArray[np.int64], survey: Survey, reader: Any, scale: float, raster: Raster,

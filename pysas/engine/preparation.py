@@ -19,6 +19,7 @@ from numpy.polynomial import chebyshev
 from scipy.special import jv
 
 from pysas._checks import ComplexArray, FloatArray
+from pysas.engine.traces import Records
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def coefficients(segments: ComplexArray, plan: Interpolator, out: npt.NDArray[An
 def segments(
     traces: ComplexArray,
     order: npt.NDArray[np.int64],
-    start: npt.NDArray[np.int64],
+    records: Records,
     weights: ComplexArray,
     scale: float,
     plan: Cut,
@@ -119,14 +120,16 @@ def segments(
 ) -> ComplexArray:
     """The samples kept of traces `order` (flat ping-channel numbers) of (ping, channel, sample), weighted and tapered.
 
-    Trace i is kept from sample start[i] on, zeros outside its record, divided by `scale`, a power of two.
+    Trace i is kept from its record's first sample `kept` on, zeros outside what was recorded, divided by `scale`, a power of
+    two.
     """
-    channels, n_sample = traces.shape[1], traces.shape[2]
+    channels = traces.shape[1]
+    start, begin, end = (records[name].astype(np.int64) for name in ("kept", "first", "last"))
     kept: ComplexArray = np.zeros((order.size, plan.length), dtype=dtype)
     for i, flat in enumerate(order):
         trace = traces[divmod(int(flat), channels)]
         first = int(start[i])
-        a, b = max(first, 0), min(first + plan.length, n_sample)
+        a, b = max(first, int(begin[i])), min(first + plan.length, int(end[i]) + 1)
         if b > a and weights[i] != 0:  # or it may hold anything
             kept[i, a - first : b - first] = _scaled(trace[a:b], complex(weights[i]), scale, kept.dtype)
     if plan.window is not None:

@@ -21,25 +21,29 @@ from pysas.engine.survey import Raster, Survey, Totals, Trigonometry, readable, 
 from pysas.engine.traces import Records, reals
 
 
-def peaks(data: ComplexArray, begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int) -> FloatArray:
-    """Largest |real| or |imaginary| part of samples [begin, end) of each trace; not finite where the trace is not."""
+def peaks(
+    data: ComplexArray, valid: npt.NDArray[np.int64], begin: npt.NDArray[np.int64], end: npt.NDArray[np.int64], threads: int
+) -> FloatArray:
+    """See Parts.peaks."""
     traces = data if data.ndim == 3 else data[:, None, :]
     found = np.zeros(traces.shape[:2])
     begin, end = (np.asarray(at).reshape(found.shape) for at in (begin, end))
+    valid = np.ascontiguousarray(valid).reshape(*found.shape, 2)
     size = max(1, 2**16 // (traces.shape[1] * traces.shape[2]))
 
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
-        pool.call(_numba_samples.peaks, readable(traces[some]), begin[some], end[some], found[some])
+        pool.call(_numba_samples.peaks, readable(traces[some]), valid[some], begin[some], end[some], found[some])
 
     pool.run(measure, -(-traces.shape[0] // size), threads)
     return found
 
 
 def mean_squares(
-    data: ComplexArray, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int, scale: float, threads: int
-) -> FloatArray:
-    """Mean squares of the 2 reach + 1 samples about places of (ping, channel, sample), in units of scale^2; 0 off records."""
+    data: ComplexArray, valid: npt.NDArray[np.int64], trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int,
+    scale: float, threads: int,
+) -> FloatArray:  # fmt: skip
+    """See Parts.mean_squares."""
     out, channels = np.zeros(trace.size), data.shape[1]
     size = max(1, 2**16 // min(2 * reach + 1, data.shape[2]))
     inverse = min(1 / scale, np.finfo(np.float64).max)  # one over a subnormal is infinite
@@ -47,8 +51,9 @@ def mean_squares(
     def measure(task: int) -> None:
         some = slice(task * size, (task + 1) * size)
         first, last = np.min(trace[some]) // channels, np.max(trace[some]) // channels
-        near = readable(data[first : last + 1])
-        pool.call(_numba_samples.mean_squares, near, trace[some] - first * channels, place[some], reach, inverse, out[some])
+        near, number = readable(data[first : last + 1]), trace[some] - first * channels
+        windows = np.ascontiguousarray(valid[first * channels : (last + 1) * channels])
+        pool.call(_numba_samples.mean_squares, near, windows, number, place[some], reach, inverse, out[some])
 
     pool.run(measure, -(-trace.size // size), threads)
     return out
@@ -76,7 +81,7 @@ def numbered(trace: Records, intervals: int) -> FloatArray:
 def prepare(
     traces: ComplexArray,
     part: npt.NDArray[np.int64],
-    start: npt.NDArray[np.int64],
+    trace: Records,
     weights: ComplexArray,
     scale: float,
     reader: Interpolator,
@@ -84,7 +89,7 @@ def prepare(
     threads: int,
     kept: npt.NDArray[np.bool_] | None = None,
 ) -> None:
-    """Tables of traces `part` (flat numbers) of (ping, channel, sample); zeros for those not `kept`."""
+    """Tables of traces `part` (flat numbers, records `trace`) of (ping, channel, sample); zeros for those not `kept`."""
     at_once = rows_per_task(reader.n_fine)
 
     def transform(task: int) -> None:
@@ -93,7 +98,7 @@ def prepare(
             table[rows[~kept[rows]]] = 0
             rows = rows[kept[rows]]  # the others may hold anything
         if rows.size:
-            cut = segments(traces, part[rows], start[rows], weights[rows], scale, reader, reader.transfer.dtype)
+            cut = segments(traces, part[rows], trace.take(rows), weights[rows], scale, reader, reader.transfer.dtype)
             whole = rows.size == rows[-1] + 1 - rows[0]
             out = table[rows[0] : rows[-1] + 1] if whole else np.empty((rows.size, *table.shape[1:]), table.dtype)
             coefficients(cut, reader, out)
@@ -139,7 +144,7 @@ def accumulate(
         clock = time.perf_counter()
         table = np.empty((part.size, reader.intervals, reader.degree + 1), dtype=complex_kind)
         some = survey.part(begin, begin + part.size)
-        prepare(traces, part, some.start, some.weights, scale, reader, table, threads)
+        prepare(traces, part, some.trace, some.weights, scale, reader, table, threads)
         geometry = numbered(some.trace, reader.intervals)
         flat_table = table.reshape(-1).view(kind)
         now = time.perf_counter()

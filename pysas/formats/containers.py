@@ -38,6 +38,7 @@ _SAFE_FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, Fletcher-32, LZF: built in
 _CHECKSUM = "crc32"
 KINDS = {  # what an error says, and dtypes without byte order
     "samples": ("complex64 or complex128", ("c8", "c16")), "real": ("float64", ("f8",)), "bool": ("bool", ("b1",)),
+    "whole": ("int64 or int32", ("i8", "i4")),
     "truth": ("float64 or complex128", ("f8", "c16")), "text": ("a string", ()), "flag": ("bool or uint8", ("b1", "u1")),
 }  # fmt: skip
 

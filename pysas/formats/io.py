@@ -132,9 +132,11 @@ def load_image(path: str | os.PathLike[str]) -> Image:
 # same number wherever it stands, T is "ping channel", or "ping" where the data are (ping, sample)
 
 _ECHO_FIELDS: dict[str, tuple[str, ...]] = {
-    "schema": ("text", ""), "data": ("samples", "T sample"), "fs": ("real", ""), "fc": ("real", ""), "c": ("real", ""),
-    "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"), "compressed": ("flag", ""),
+    "schema": ("text", ""), "data": ("samples", "T sample"), "fs": ("real", ""), "fc": ("real", ""),
+    "c": ("real", "", "ping"), "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"),
+    "compressed": ("flag", ""),
     "velocity": ("real", "ping 3", "T 3"), "bandwidth": ("real", ""), "ping_time": ("real", "ping"),
+    "valid": ("whole", "ping 2", "T 2"),
     "pulse_kind": ("text", ""), "pulse_fc": ("real", ""), "pulse_bandwidth": ("real", ""), "pulse_duration": ("real", ""),
     "pulse_window": ("text", ""), "pulse_window_parameter": ("real", ""), "waveform": ("samples", "length"),
     "truth_position": ("real", "target 3"), "truth_amplitude": ("truth", "target"),
@@ -152,7 +154,7 @@ def _echo_fields(echoes: Echoes) -> dict[str, Array]:
     attrs = dict(echoes.attrs)
     fields: dict[str, Any] = {"schema": ECHOES}
     fields |= {name: getattr(echoes, name) for name in ("fs", "fc", "c", "t0", "tx", "rx", "compressed")}
-    fields |= {name: value for name in ("velocity", "ping_time") if (value := getattr(echoes, name)) is not None}
+    fields |= {name: value for name in ("velocity", "valid", "ping_time") if (value := getattr(echoes, name)) is not None}
     if echoes.bandwidth != echoes.replace(bandwidth=None).bandwidth:
         fields["bandwidth"] = echoes.bandwidth
     pulse = echoes.pulse

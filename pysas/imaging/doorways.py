@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy.typing as npt
 
-from pysas import _checks
 from pysas._checks import ComplexArray
-from pysas.imaging import planner
+from pysas.imaging import several
+from pysas.imaging.several import How
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
 
+Weights = npt.ArrayLike | str | None
+
 
 def backproject(
-    echoes: Echoes,
+    echoes: Echoes | Sequence[Echoes],
     grid: Grid,
     tol: float = 1e-3,
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | str | None = None,
+    weights: Weights | Sequence[Weights] = None,
     nan: str = "raise",
     out: ComplexArray | None = None,
     progress: Callable[[float], None] | None = None,
@@ -30,13 +32,15 @@ def backproject(
 
     Parameters
     ----------
-    echoes : Echoes
-        Range-compressed echoes; any track and array, moving receivers included.
+    echoes : Echoes, or a list or tuple of them
+        Range-compressed echoes; any track and array, moving receivers included. Of several (bands, arrays, pairs of
+        transmitters and receivers, each with its own sampling, carrier and geometry, of one dtype) the images are summed.
     grid : Grid
     tol : float
         Relative error that is kept: ||I - I_exact||_2 <= tol max(||I_exact||_2, ||R||_2) over the grid, where I_exact is
         `pysas.reference.exact` and R the incoherent level it returns. complex64: 1e-1 to 1e-5; complex128: down to
-        max(1e-10, 1e-14 range/wavelength).
+        max(1e-10, 1e-14 range/wavelength). Of several Echoes each image keeps it; errors of different samples are unrelated and
+        add as squares, as R^2 does, and so the sum keeps it too.
     threads : int, optional
         Worker threads; default PYSAS_NUM_THREADS, else all processors. The image is the same for any number.
     backend : {"auto", "numba", "cpp"}
@@ -44,9 +48,10 @@ def backproject(
         Real or complex factors of the terms; 0 leaves a trace out. "uniform-angle": each term weighs what
         `pysas.circular.view_weights` says, the arc of view angles that it stands for, so that the point spread function
         is the same all over the image; a small part of `tol` is theirs. Where views change their order over the image every
-        pixel has its own arcs, some twenty times slower; `print(plan)` tells.
+        pixel has its own arcs, some twenty times slower; `print(plan)` tells. Of several Echoes a list, an entry each, or None.
     nan : {"raise", "mask"}
-        Traces that hold non-finite samples: an error, or left out of the sum.
+        Non-finite samples where `echoes.valid` says that something was recorded: an error; or those at a trace's ends shorten
+        its `valid`, and a trace with others, or with no finite one, is left out of the sum. The report's notes count both.
     out : complex array of grid.shape, optional
         Filled in place and returned as the image's data; of the data's dtype, in memory of its own.
     progress : callable, optional
@@ -55,7 +60,8 @@ def backproject(
     Returns
     -------
     Image
-        Of the data's dtype; `image.report` says what was done.
+        Of the data's dtype; `image.report` says what was done. Of several Echoes: one report of all, with the settings of each
+        under "echoes 0", "echoes 1" ... in its choices; the image's fc and c are means over all traces.
 
     Raises
     ------
@@ -75,19 +81,17 @@ def backproject(
     -----
     O(pings channels pixels) after O(pings channels samples log samples); memory beyond input and image about 25 MB.
     """
-    _check_out_of(out, echoes, grid, progress)
-    plan = planner.plan(echoes, grid, tol, "backprojection", threads, backend, weights, nan)
-    return plan(echoes.data, out, progress)
+    return several.image(echoes, grid, How(tol, "backprojection", threads, backend, nan), weights, out, progress)
 
 
 def ffbp(
-    echoes: Echoes,
+    echoes: Echoes | Sequence[Echoes],
     grid: Grid,
     tol: float = 1e-3,
     fallback: bool = True,
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | str | None = None,
+    weights: Weights | Sequence[Weights] = None,
     nan: str = "raise",
     out: ComplexArray | None = None,
     progress: Callable[[float], None] | None = None,
@@ -96,8 +100,8 @@ def ffbp(
 
     Parameters
     ----------
-    echoes : Echoes
-        Range-compressed echoes; any track and array, moving receivers included.
+    echoes : Echoes, or a list or tuple of them
+        Range-compressed echoes; any track and array, moving receivers included; as in `backproject`.
     grid : Grid
     tol : float
         Relative error that is kept, as in `backproject`.
@@ -122,18 +126,16 @@ def ffbp(
     -----
     Memory beyond input and image: one batch of tables (about 25 MB) and of leaves, and one sub-image of each level above.
     """
-    _check_out_of(out, echoes, grid)
-    plan = planner.plan(echoes, grid, tol, "ffbp", threads, backend, weights, nan, fallback)
-    return plan(echoes.data, out, progress)
+    return several.image(echoes, grid, How(tol, "ffbp", threads, backend, nan, fallback), weights, out, progress)
 
 
 def focus(
-    echoes: Echoes,
+    echoes: Echoes | Sequence[Echoes],
     grid: Grid,
     tol: float = 1e-3,
     threads: int | None = None,
     backend: str = "auto",
-    weights: npt.ArrayLike | str | None = None,
+    weights: Weights | Sequence[Weights] = None,
     nan: str = "raise",
     out: ComplexArray | None = None,
     progress: Callable[[float], None] | None = None,
@@ -142,8 +144,8 @@ def focus(
 
     Parameters
     ----------
-    echoes : Echoes
-        Range-compressed echoes; any track and array, moving receivers included.
+    echoes : Echoes, or a list or tuple of them
+        Range-compressed echoes; any track and array, moving receivers included; as in `backproject`.
     grid : Grid
     tol : float
         Relative error that is kept, whichever engine it is; as in `backproject`.
@@ -164,8 +166,7 @@ def focus(
     -----
     O(pings channels pixels) for few pings or pixels, about O(N^2 log N) for N of each a side. `plan` for data to come.
     """
-    _check_out_of(out, echoes, grid, progress)
-    return planner.plan(echoes, grid, tol, "auto", threads, backend, weights, nan)(echoes.data, out, progress)
+    return several.image(echoes, grid, How(tol, "auto", threads, backend, nan), weights, out, progress)
 
 
 def backproject_arrays(
@@ -176,7 +177,7 @@ def backproject_arrays(
     fc: float,
     tx: Any,
     rx: Any,
-    c: float = 1500.0,
+    c: Any = 1500.0,
     t0: Any = 0.0,
     velocity: Any = None,
     bandwidth: float | None = None,
@@ -213,11 +214,3 @@ def backproject_arrays(
     """
     echoes = Echoes(data, fs=fs, fc=fc, tx=tx, rx=rx, c=c, t0=t0, velocity=velocity, bandwidth=bandwidth)
     return backproject(echoes, Grid.points(pixels), tol, threads, backend, weights, out=out).data
-
-
-def _check_out_of(out: ComplexArray | None, echoes: Any, grid: Any, progress: Any = None) -> None:
-    """Check `out` and `progress` before any work, where what `out` must fit is what it should be."""
-    _checks.callback("progress", progress)
-    if isinstance(echoes, Echoes) and isinstance(grid, Grid):
-        _checks.target(out, grid.shape, echoes.dtype)
-        _checks.apart(out, echoes.data)

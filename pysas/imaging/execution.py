@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +10,9 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray
+from pysas.imaging import words
 from pysas.imaging.plans import Done, Plan
+from pysas.model.gaps import windows_of
 from pysas.model.image import Image, Report
 
 
@@ -19,6 +20,13 @@ from pysas.model.image import Image, Report
 def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress: Callable[[float], None] | None) -> Image:
     """Carry out `plan` on `data`; what `Plan.__call__` does."""
     samples = _samples(plan, data, out, progress)
+    shortened = []
+    if plan.again is not None:
+        traces = samples if samples.ndim == 3 else samples[:, None, :]
+        windows, count = windows_of(traces, plan.windows)
+        if count:
+            plan = plan.again(windows)
+            shortened = [words.shortened(count, plan.scene.traces)]
     image = np.zeros(plan.grid.shape, dtype=plan.dtype) if out is None else np.asarray(out)
     done = plan.by.image(samples, image, plan.nan, progress)
     warned = list(done.warned)
@@ -31,8 +39,8 @@ def execute(plan: Plan, data: npt.ArrayLike, out: ComplexArray | None, progress:
         warned.append(plan.scene.why_empty(done.finite) or plan.scene.why_dark(done.finite))
     for text in warned:
         if done.totals.terms or not plan.silent:  # or the plan has warned
-            warnings.warn(text, stacklevel=5)
-    return Image(image, plan.grid, _report(plan, done, done.notes + warned), plan.scene.fc, plan.scene.c)
+            _checks.warn(text)
+    return Image(image, plan.grid, _report(plan, done, shortened + done.notes + warned), plan.scene.fc, plan.scene.mean_speed)
 
 
 def _samples(

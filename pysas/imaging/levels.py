@@ -54,20 +54,22 @@ TRANSFORM = 6.0  # errors of float arithmetic in transforms to and fro, rms, in 
 
 @dataclass(frozen=True)
 class _Data:
-    """Samples (ping, channel, sample), the traces of them that are summed, squares of weights, and the unit of samples.
+    """Samples (ping, channel, sample), the traces of them that are summed, the first and last sample recorded of each, squares
+    of weights, and the unit of samples.
 
     Weights are in units of the largest, a power of two, by which the samples' is divided.
     """
 
     samples: ComplexArray
     used: npt.NDArray[np.bool_]
+    valid: npt.NDArray[np.int64]
     weight: FloatArray
     scale: float
     engine: Parts
     threads: int
 
     def mean_squares(self, trace: npt.NDArray[np.int64], place: npt.NDArray[np.int64], reach: int) -> FloatArray:
-        return self.engine.mean_squares(self.samples, trace, place, reach, self.scale, self.threads)
+        return self.engine.mean_squares(self.samples, self.valid, trace, place, reach, self.scale, self.threads)
 
 
 def fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], scale: float) -> Interpreted:
@@ -93,7 +95,7 @@ def _fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], 
     if not some.trace.size:
         return plan
     traces = samples if samples.ndim == 3 else samples[:, None, :]
-    data = _Data(traces, used, *_weighed(plan.scene.weights, used, scale), plan.engine, plan.threads)
+    data = _Data(traces, used, plan.scene.valid, *_weighed(plan.scene.weights, used, scale), plan.engine, plan.threads)
     weight = data.weight[some.trace] * some.power
     own = math.sqrt(np.mean(weight * data.mean_squares(some.trace, some.place, 1)))
     ends = _ends(plan, data)
@@ -105,7 +107,7 @@ def _fit(plan: Interpreted, samples: ComplexArray, used: npt.NDArray[np.bool_], 
         beside = weight * data.mean_squares(some.trace, some.place, reach)
         excess = math.sqrt(max(float(np.mean(beside)) - own**2, _outside(plan, data, reach, own)))
         squares = np.zeros(some.trace.size)
-        for side, distance in ((0, some.place), (1, plan.scene.n_sample - 1 - some.place)):
+        for side, distance in enumerate(_from_ends(plan, some)):
             # what rings has frequencies that sub-images have no nodes for; pixels nearer to an end do not go through them.
             # Ends about as bright as what pixels read are in the tree's own bounds
             brighter = np.maximum(ends[side, some.trace] - BRIGHTER * own**2, 0)
@@ -181,7 +183,7 @@ def _edges(plan: Interpreted, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.in
     scene = plan.scene
     at = scene.trace.take(heard)
     if scene.kind == MONOSTATIC:
-        low, high = ((2 * away / scene.c - at["t0"]) * scene.fs for away in distances(at["tx"], scene.low, scene.high))
+        low, high = ((2 * away / at["c"] - at["t0"]) * scene.fs for away in distances(at["tx"], scene.low, scene.high))
         return np.asarray(np.clip(np.stack([np.floor(low), np.ceil(high)]), -1, scene.n_sample), dtype=np.int64)
     corners = np.array(sorted(set(itertools.product(*zip(scene.low, scene.high, strict=True)))))
     pixels = np.concatenate([corners, np.clip((at["tx"] + at["rx"]) / 2, scene.low, scene.high)])
@@ -194,12 +196,18 @@ def _edges(plan: Interpreted, heard: npt.NDArray[np.int64]) -> npt.NDArray[np.in
 
 def _ends(plan: Interpreted, data: _Data) -> FloatArray:
     """Twice the mean squares (2, trace) of samples at the first and the last end of all used traces, weighed."""
-    n, number = plan.scene.n_sample, np.flatnonzero(data.used)
+    number = np.flatnonzero(data.used)
     out = np.zeros((2, data.used.size))
-    for side, place in enumerate((0, n - 1)):
-        found = data.mean_squares(number, np.full(number.size, place), ENDS) * 2 * (2 * ENDS + 1) / (ENDS + 1)
+    for side, place in enumerate(plan.scene.valid.T):
+        found = data.mean_squares(number, place[number], ENDS) * 2 * (2 * ENDS + 1) / (ENDS + 1)
         out[side, number] = data.weight[number] * found
     return out
+
+
+def _from_ends(plan: Interpreted, some: Terms) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Samples that terms lie from the first and from the last one recorded."""
+    first, last = plan.scene.valid[some.trace].T
+    return some.place - first, last - some.place
 
 
 def _outside(plan: Interpreted, data: _Data, reach: int, own: float) -> float:
@@ -241,6 +249,8 @@ def _low_passed(plan: Interpreted, data: _Data, some: Terms) -> float:
         begin, end = np.searchsorted(some.trace, [part[0], part[-1] + 1])
         with np.errstate(over="ignore", invalid="ignore"):
             whole = data.samples[np.divmod(part, data.samples.shape[1])].astype(np.complex128) / data.scale
+            at, (first, last) = np.arange(n_sample), data.valid[part].T[..., None]
+            whole[(at < first) | (at > last)] = 0
             spectrum = scipy.fft.fft(whole, n_fft, axis=-1, workers=1) * transfer
             smooth = scipy.fft.ifft(spectrum, axis=-1, workers=1)
             squares[begin:end] = np.abs(smooth[np.searchsorted(part, some.trace[begin:end]), some.place[begin:end]]) ** 2
@@ -261,8 +271,8 @@ def _measured(
     # transforms' polynomials are wrong by what they read
     squares = planned**2 * weight * data.mean_squares(some.trace, some.place, 1)
     start = scene.first - 1 - c.margin
-    within = (start + c.taper <= 0, start + c.length - c.taper >= scene.n_sample)
-    for side, distance in ((0, some.place), (1, scene.n_sample - 1 - some.place)):
+    within = (start + c.taper <= scene.valid[:, 0], start + c.length - c.taper > scene.valid[:, 1])
+    for side, distance in enumerate(_from_ends(plan, some)):
         # what is not cut away is read as it is, and comes round behind the other end
         kept = within[side][some.trace] if c.taper else True
         distance = np.where(kept, c.n_fft - distance, distance)

@@ -7,6 +7,7 @@ a `Plan` that images any data of the same geometry. `print(plan)` and `plan.expl
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,11 @@ from pysas.imaging.execution import execute
 from pysas.imaging.plans import EnginePlan, Plan
 from pysas.imaging.summing import Summing
 from pysas.model.echoes import Echoes
+from pysas.model.gaps import with_windows
 from pysas.model.grid import Grid
 from pysas.planning import view_angles
 from pysas.planning.fallback import planner as fixed
-from pysas.planning.scene import Scene
+from pysas.planning.scene import UNIFORM, Scene
 
 METHODS = ("auto", "backprojection", "ffbp")
 SHARE_VIEWS = 0.04  # of tol, for weights uniform in view angle, where they are asked for
@@ -59,7 +61,8 @@ def plan(
     weights : (ping,) or (ping, channel) array_like, or "uniform-angle", optional
         As in `backproject`.
     nan : {"raise", "mask"}
-        Traces that hold non-finite samples: an error, or left out of the sum.
+        Non-finite samples that were recorded: an error; or, as in `backproject`, those at a trace's ends shorten its `valid`,
+        for which such data are planned anew, and traces with others are left out of the sum.
     fallback : bool
         With "ffbp" (with "auto" they are): whether terms that cannot be factorised, or not within `tol`, are summed directly;
         an error otherwise, also where samples beside those that pixels read are too bright for trees, once data arrive.
@@ -114,7 +117,7 @@ def _plan(
 ) -> Plan:
     """`raw` : whether echoes may be raw as yet."""
     if not isinstance(echoes, Echoes):
-        raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
+        raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes (several: backproject, ffbp, focus)")
     if not isinstance(grid, Grid):
         raise TypeError(f"grid={type(grid).__name__}: expected pysas.Grid")
     _checks.choice("method", method, METHODS)
@@ -138,7 +141,25 @@ def _plan(
         by = Compiled(scene, grid, tol, budget, views, method, fallback or method == "auto", count, engine)
     else:
         by = _interpreted(scene, grid, tol, budget, method, fallback or method == "auto", count, engine)
-    return Plan(echoes, grid, tol, scene, engine, count, nan, "ffbp" if method == "ffbp" else "backprojection", by, execute)
+    name = "ffbp" if method == "ffbp" else "backprojection"
+    again = None
+    if nan == "mask":
+        given = UNIFORM if scene.uniform else scene.weights.reshape(echoes.n_ping, -1)
+        again = _anew(echoes, grid, tol, method, count, backend, given, fallback, raw)
+    return Plan(echoes, grid, tol, scene, engine, count, nan, name, by, execute, again)
+
+
+def _anew(
+    echoes: Echoes, grid: Grid, tol: float, method: str, threads: int, backend: str, weights: npt.ArrayLike | str,
+    fallback: bool, raw: bool,
+) -> Callable[[npt.NDArray[np.int64]], Plan]:  # fmt: skip
+    """What plans for windows of what was recorded that are not the echoes'."""
+    bare = echoes.replace(data=np.broadcast_to(np.zeros((), echoes.dtype), echoes.data.shape))  # a plan holds no data
+
+    def again(windows: npt.NDArray[np.int64]) -> Plan:
+        return _plan(with_windows(bare, windows), grid, tol, method, threads, backend, weights, "mask", fallback, raw)
+
+    return again
 
 
 def _interpreted(
@@ -199,7 +220,7 @@ def _reachable(tol: float, echoes: Echoes, scene: Scene) -> None:
     if tol > 0.1:
         raise ValueError(f"tol={tol:g}: expected at most 0.1")
     # of the carrier's phase, or of the place in a record whose band is wider than its carrier is high
-    float64 = 1e-14 * scene.farthest * max(echoes.fc, echoes.occupied_bandwidth) / echoes.c
+    float64 = 1e-14 * scene.farthest * max(echoes.fc, echoes.occupied_bandwidth) / scene.c
     least = max(1e-5 if echoes.dtype == np.complex64 else 1e-10, float64)
     if not tol >= least * (1 - 1e-9):
         hint = f"; complex128 data reach {max(1e-10, float64):.3g}" if least > float64 and least == 1e-5 else ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import itertools
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -92,15 +91,17 @@ class Plan:
     def __init__(
         self, echoes: Echoes, grid: Grid, tol: float, scene: Scene, engine: Engine, threads: int, nan: str, method: str,
         by: EnginePlan, execute: Callable[[Plan, npt.ArrayLike, ComplexArray | None, Callable[[float], None] | None], Image],
+        again: Callable[[npt.NDArray[np.int64]], Plan] | None = None,
     ) -> None:  # fmt: skip
-        self.by, self.execute = by, execute
+        self.by, self.execute, self.again = by, execute, again
+        self.windows = echoes.windows
         self.tol, self.threads, self.engine = tol, threads, engine
         self.grid, self.scene, self.nan = grid, scene, nan
         self.method = "ffbp" if by.trees else method
         self.data_shape, self.dtype = echoes.data.shape, echoes.dtype
         self.silent = scene.why_empty()
         if self.silent:
-            warnings.warn(self.silent, stacklevel=5)
+            _checks.warn(self.silent)
 
     @property
     def choices(self) -> Choices:
@@ -142,6 +143,7 @@ class Plan:
 
         Notes
         -----
+        With nan="mask" data whose traces end earlier than planned, in non-finite samples, are planned anew.
         O(traces (pixels + n_fft log n_fft)); memory beyond input and output: one batch of coefficients, about 25 MB.
         """
         return self.execute(self, data, out, progress)
@@ -226,6 +228,7 @@ class Plan:
         lines = [str(self), "  left out"]
         silent = scene.traces - int(np.count_nonzero(scene.heard))
         saved = 1 - c.length / scene.n_sample
+        recorded = float(np.mean(scene.valid[:, 1] - scene.valid[:, 0] + 1)) / scene.n_sample
         masked = 1 - scene.pixels / self.grid.size
         rows = [
             (scene.kind == MONOSTATIC, "second square root: transmitter and receiver at one place"),
@@ -233,6 +236,7 @@ class Plan:
             (not scene.uniform, "weights that differ from pixel to pixel: not asked for"),
             (not scene.beamed, f"beam: {'it reaches every pixel from every ping' if scene.all_lit else 'none given'}"),
             (c.precision == "float32", "float64 in the inner loop: tol does not need it"),
+            (recorded < 1, f"{100 * (1 - recorded):.3g} % of the samples: not recorded"),
             (saved > 0, f"{100 * saved:.0f} % of each record: no pixel needs it"),
             (silent > 0, f"{silent} of {scene.traces} traces: no pixel within their window"),
             (masked > 0, f"{100 * masked:.0f} % of the pixels: masked"),

@@ -68,8 +68,9 @@ class Summing(Interpreted):
 def _peaks(plan: Interpreted, samples: ComplexArray) -> FloatArray:
     """Of what is read of every trace; not finite where the trace is not."""
     start = _starts(plan)
-    begin, end = (np.clip(at, 0, plan.scene.n_sample) for at in (start, start + plan.choices.length))
-    return plan.engine.peaks(samples, begin, end, plan.threads).reshape(-1)
+    valid = plan.scene.valid
+    begin, end = (np.clip(at, valid[:, 0], valid[:, 1] + 1) for at in (start, start + plan.choices.length))
+    return plan.engine.peaks(samples, valid, begin, end, plan.threads).reshape(-1)
 
 
 def _left_out(plan: Interpreted, finite: npt.NDArray[np.bool_], nan: str) -> str:

@@ -11,6 +11,10 @@ def left_out(count: int, traces: int) -> str:
     return f"{count} of {traces} traces left out: non-finite samples"
 
 
+def shortened(count: int, traces: int) -> str:
+    return f"{count} of {traces} traces shortened: non-finite samples at their ends"
+
+
 def direct(why: str) -> str:
     return f"summed directly: {why}"
 

@@ -39,8 +39,8 @@ class Echoes:
         Transmitter at the instant of transmission, m.
     rx : (ping, channel, 3), or (ping, 3) for (ping, sample) data
         Receivers at the instant of transmission, m.
-    c : float
-        Sound speed, m/s.
+    c : float or (ping,)
+        Sound speed, m/s: one, or each ping's own, by which its echoes travelled.
     t0 : float or (ping,)
         Time of sample 0 after the start of transmission, s.
     velocity : (ping, 3) or (ping, channel, 3), optional
@@ -53,6 +53,10 @@ class Echoes:
         True: an echo peaks at its travel time. False: raw, an echo begins there.
     beam : Beam, optional
         None: omnidirectional.
+    valid : (ping, 2) or (ping, channel, 2) whole numbers, optional
+        First and last sample that were recorded, 0 <= first <= last < sample; last = first - 1: nothing was. Samples outside
+        are not looked at, whatever they hold (NaN included): the trace counts as one cropped to these, begun at t0 + first/fs.
+        None: all samples.
     ping_time : (ping,), optional
         Time of each transmission, s.
     attrs : mapping, optional
@@ -69,13 +73,14 @@ class Echoes:
     fc: float
     tx: FloatArray
     rx: FloatArray
-    c: float = 1500.0
+    c: float | FloatArray = 1500.0
     t0: float | FloatArray = 0.0
     velocity: FloatArray | None = None
     bandwidth: float | None = None
     pulse: LFM | npt.NDArray[np.complexfloating[Any, Any]] | None = None
     compressed: bool = True
     beam: Beam | None = None
+    valid: npt.NDArray[np.int64] | None = None
     ping_time: FloatArray | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
@@ -88,12 +93,13 @@ class Echoes:
             object.__setattr__(self, name, value)
 
         put("data", _checks.samples("data", self.data, (2, 3)))
-        for name in ("fs", "fc", "c"):
+        for name in ("fs", "fc"):
             put(name, _checks.number(name, getattr(self, name), positive=True))
         ping, three = self.data.shape[0], self.data.ndim == 3
         receivers = (ping, self.data.shape[1], 3) if three else (ping, 3)
         put("tx", _checks.reals("tx", self.tx, [(ping, 3)], ("ping",)))
         put("rx", _checks.reals("rx", self.rx, [receivers], ("ping", "channel") if three else ("ping",)))
+        put("c", _speeds(self.c, ping))
         scalar = _checks.array_like("t0", self.t0).ndim == 0
         put("t0", _checks.number("t0", self.t0) if scalar else _checks.reals("t0", self.t0, [(ping,)], ("ping",)))
         if self.velocity is not None:
@@ -101,13 +107,16 @@ class Echoes:
             labels = ("ping", "channel") if _checks.array_like("velocity", self.velocity).ndim == 3 else ("ping",)
             put("velocity", _checks.reals("velocity", self.velocity, shapes, labels))
             speed = float(np.max(np.linalg.norm(self.velocity, axis=-1)))
-            if speed >= self.c / 10:
-                raise ValueError(f"velocity: {speed:g} m/s: expected below a tenth of the sound speed, {self.c / 10:g} m/s")
+            most = float(np.min(self.speeds)) / 10
+            if speed >= most:
+                raise ValueError(f"velocity: {speed:g} m/s: expected below a tenth of the sound speed, {most:g} m/s")
         self._validate_pulse(put)
         if self.beam is not None:
             if not isinstance(self.beam, Beam):
                 raise TypeError(f"beam={self.beam!r}: expected a pysas.Beam or None")
             self.beam.require_pings(ping)
+        if self.valid is not None:
+            put("valid", _windows(self.valid, self.data.shape))
         if not isinstance(self.compressed, bool | np.bool_):
             raise TypeError(f"compressed={self.compressed!r}: expected True or False")
         put("compressed", bool(self.compressed))
@@ -181,15 +190,61 @@ class Echoes:
         return np.broadcast_to(np.asarray(self.t0, dtype=np.float64), (self.n_ping,))
 
     @property
+    def speeds(self) -> FloatArray:
+        """(ping,) sound speeds, m/s."""
+        return np.broadcast_to(np.asarray(self.c, dtype=np.float64), (self.n_ping,))
+
+    @property
+    def mean_speed(self) -> float:
+        """Mean of the pings' sound speeds, m/s; their own where they have one."""
+        return self.c if isinstance(self.c, float) else float(np.mean(self.c))
+
+    @property
+    def speed(self) -> float:
+        """The one sound speed of all pings, m/s, for algorithms that know no other.
+
+        Raises
+        ------
+        ValueError
+            Pings of different speeds.
+        """
+        if isinstance(self.c, float):
+            return self.c
+        other = np.flatnonzero(self.c != self.c[0])
+        if other.size:
+            raise ValueError(
+                f"echoes: c={self.c[other[0]]:.9g} m/s at ping {other[0]}, {self.c[0]:.9g} m/s at ping 0: expected one speed "
+                "of all pings: pysas.backproject, ffbp and focus take a speed a ping; or echoes.replace(c=echoes.mean_speed)"
+            )
+        return float(self.c[0])
+
+    @property
+    def windows(self) -> npt.NDArray[np.int64]:
+        """(ping, channel, 2) first and last sample that were recorded of each trace: `valid`, or all."""
+        valid = np.array([0, self.n_sample - 1]) if self.valid is None else self.valid
+        valid = valid[:, None] if valid.ndim == 2 else valid
+        return np.broadcast_to(valid, (self.n_ping, self.n_channel, 2))
+
+    def whole(self) -> Echoes:
+        """The same with zeros in place of all samples outside `valid`, which is None then: a copy where `valid` is given."""
+        if self.valid is None:
+            return self
+        data = np.array(self.data, dtype=self.dtype)
+        at, (first, last) = np.arange(self.n_sample), np.moveaxis(self.windows, -1, 0)
+        outside = (at < first[..., None]) | (at > last[..., None])
+        data[outside.reshape(data.shape)] = 0
+        return self.replace(data=data, valid=None)
+
+    @property
     def swath(self) -> tuple[float, float]:
-        """Slant ranges that the record covers, m."""
-        last = (self.n_sample - 1) / self.fs
-        return self.c / 2 * float(self.start_time.min()), self.c / 2 * (float(self.start_time.max()) + last)
+        """Slant ranges that the record covers, m; where sound speeds differ, the least and the largest of any ping."""
+        half, last = self.speeds / 2, (self.n_sample - 1) / self.fs
+        return float(np.min(half * self.start_time)), float(np.max(half * (self.start_time + last)))
 
     @property
     def range_resolution(self) -> float:
-        """-3 dB width in slant range of an unweighted flat band, 0.886 c/(2 bandwidth), m."""
-        return 0.886 * self.c / (2 * self.occupied_bandwidth)
+        """-3 dB width in slant range of an unweighted flat band, 0.886 c/(2 bandwidth), m; c the pings' mean."""
+        return 0.886 * self.mean_speed / (2 * self.occupied_bandwidth)
 
     @_checks.usual_errors
     def phase_centre_spacing(self) -> tuple[float, float]:
@@ -277,6 +332,10 @@ class Echoes:
         found = [(f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if f.name != "pulse"]
         return [(name, value) for name, value in found if isinstance(value, np.ndarray) and value.ndim > 0]
 
+    def _spoken_speed(self) -> str:
+        low, high = float(np.min(self.c)), float(np.max(self.c))
+        return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
     def __repr__(self) -> str:
         median, largest = self.phase_centre_spacing()
         near, far = self.swath
@@ -286,10 +345,13 @@ class Echoes:
             f"Echoes: {self.n_ping} pings x {self.n_channel} channels x {self.n_sample} samples, {self.dtype}, "
             f"{'range-compressed' if self.compressed else 'raw'}",
             f"  sampling   fs {self.fs:g} Hz = {self.fs / self.occupied_bandwidth:.3g} x bandwidth "
-            f"{self.occupied_bandwidth:g} Hz, fc {self.fc:g} Hz, c {self.c:g} m/s",
+            f"{self.occupied_bandwidth:g} Hz, fc {self.fc:g} Hz, c {self._spoken_speed()} m/s",
             f"  swath      {near:.2f} to {far:.2f} m slant range, resolution {self.range_resolution * 100:.3g} cm",
             f"  track      {track:.3g} m, phase centres every {median:.3g} m (largest gap {largest:.3g} m), {motion}",
         ]
+        if self.valid is not None:
+            share = np.mean(self.windows[..., 1] - self.windows[..., 0] + 1) / self.n_sample
+            lines.append(f"  valid      {100 * share:.4g} % of the samples were recorded")
         if self.pulse is not None:
             lines.append(f"  pulse      {self.pulse if isinstance(self.pulse, LFM) else f'{self.pulse.size} samples'}")
         if self.beam is not None:
@@ -312,3 +374,38 @@ def _chosen(name: str, which: slice | int | npt.ArrayLike, count: int) -> slice 
     if index.min() < -count or index.max() >= count:
         raise IndexError(f"{name}={which!r:.60}: expected below {count}")
     return slice(int(index[0]) % count, int(index[0]) % count + 1) if index.size == 1 else index
+
+
+def _speeds(c: Any, pings: int) -> float | FloatArray:
+    """Sound speeds as they were given, one or (ping,), once they are finite numbers > 0."""
+    if _checks.array_like("c", c).ndim == 0:
+        return _checks.number("c", c, positive=True)
+    speeds = _checks.reals("c", c, [(pings,)], ("ping",))
+    if not np.all(speeds > 0):
+        ping = int(np.argmin(speeds > 0))
+        raise ValueError(f"c: {speeds[ping]:g} at ping {ping}: expected numbers > 0")
+    return speeds
+
+
+def _windows(valid: Any, shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
+    """First and last samples (ping, 2) or (ping, channel, 2) of data of this shape, once they lie within it."""
+    array, n = _checks.array_like("valid", valid), shape[-1]
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"valid: expected whole numbers, found dtype {array.dtype}")
+    wanted = [(shape[0], 2)] + [(*shape[:2], 2)] * (len(shape) == 3)
+    if array.shape not in wanted:
+        raise ValueError(f"valid: expected shape {' or '.join(map(str, wanted))}, found {array.shape}")
+    array = _checks.own(array, array.dtype)  # first: another thread may write to what was given
+    first, last = array[..., 0], array[..., 1]
+    if array.dtype.kind == "u":
+        last = np.minimum(last, n).astype(np.int64)
+        first = np.minimum(first, n).astype(np.int64)
+    good = (first >= 0) & (first < n) & (last >= first - 1) & (last < n)
+    if not good.all():
+        index = tuple(int(i) for i in np.argwhere(~good)[0])
+        where = ", ".join(f"{label} {i}" for label, i in zip(("ping", "channel"), index, strict=False))
+        raise ValueError(
+            f"valid: samples {array[index][0]} to {array[index][1]} at {where}: expected 0 <= first <= last <= {n - 1}, or "
+            "last = first - 1 where nothing was recorded"
+        )
+    return _checks.own(array, np.int64)

@@ -120,7 +120,7 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
 def height_matters(echoes: Echoes) -> bool:
     """Whether an image at the wrong height is not sharp: the track is closed, or leaves a line by an eighth of a wavelength."""
     track = course_of(echoes)
-    return track.closed or track.bent > echoes.c / echoes.fc / 8
+    return track.closed or track.bent > echoes.mean_speed / echoes.fc / 8
 
 
 def _down(echoes: Echoes) -> float:
@@ -133,7 +133,7 @@ def _down(echoes: Echoes) -> float:
 
 def along_track_resolution(echoes: Echoes) -> float:
     """-3 dB width along the track, m, at the middle of the record: 0.886 c/(4 f sin theta), with theta as in `default_grid`."""
-    return 0.886 * echoes.c / (4 * echoes.fc * max(_sine(echoes, course_of(echoes)), 1e-6))
+    return 0.886 * echoes.mean_speed / (4 * echoes.fc * max(_sine(echoes, course_of(echoes)), 1e-6))
 
 
 def _sine(echoes: Echoes, track: Course) -> float:
@@ -142,7 +142,7 @@ def _sine(echoes: Echoes, track: Course) -> float:
     if track.closed:
         return 1.0
     sine = float(np.sin(np.arctan2((high[0] - low[0]) / 2, sum(echoes.swath) / 2)))
-    return sine if echoes.beam is None else min(sine, echoes.c / echoes.fc / echoes.beam.length)
+    return sine if echoes.beam is None else min(sine, echoes.mean_speed / echoes.fc / echoes.beam.length)
 
 
 def default_grid(
@@ -175,12 +175,13 @@ def default_grid(
     if not echoes.compressed and echoes.pulse is not None:
         pulse = echoes.pulse
         record -= (pulse.duration if isinstance(pulse, LFM) else (pulse.size - 1) / echoes.fs) / 2
-    near = max(echoes.c / 2 * float(echoes.start_time.max()), 0.0)
-    far = echoes.c / 2 * (float(echoes.start_time.min()) + record)
+    c = echoes.mean_speed
+    near = max(c / 2 * float(echoes.start_time.max()), 0.0)
+    far = c / 2 * (float(echoes.start_time.min()) + record)
     if far <= drop:
         raise ValueError(f"z={z:g}: {drop:.4g} m from the track, beyond the record's {far:.4g} m: choose another --z or a grid")
     ground = (float(np.sqrt(max(near**2 - drop**2, 0.0))), float(np.sqrt(far**2 - drop**2)))
-    finest = echoes.c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
+    finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
     if track.closed:
         middle = track.places.mean(axis=0)
         radius = float(np.median(np.linalg.norm(track.places - middle, axis=1)))
@@ -191,7 +192,7 @@ def default_grid(
     else:
         low, high, how = _beside(echoes, track, ground, z, side)
         sine = _sine(echoes, track)
-        across = 2 * echoes.occupied_bandwidth / echoes.c + (1 - np.sqrt(max(1 - sine**2, 0.0))) / finest
+        across = 2 * echoes.occupied_bandwidth / c + (1 - np.sqrt(max(1 - sine**2, 0.0))) / finest
         steps = (_round(0.8 * min(finest / (2 * max(sine, 1e-6)), 1 / across)), _round(0.8 / across))
     if spacing is not None:
         steps = (_checks.number("spacing", spacing[0], positive=True), _checks.number("spacing", spacing[1], positive=True))

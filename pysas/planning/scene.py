@@ -27,7 +27,10 @@ class Scene:
 
     @np.errstate(over="ignore", invalid="ignore")  # coordinates too large for their squares: tol refuses them
     def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | str | None) -> None:
-        self.fs, self.fc, self.c = echoes.fs, echoes.fc, echoes.c
+        self.fs, self.fc = echoes.fs, echoes.fc
+        # the least: wave numbers by it are the largest of any trace
+        self.c, self.mean_speed = float(np.min(echoes.speeds)), echoes.mean_speed
+        self.one_speed = bool(np.all(echoes.speeds == self.c))
         self.n_sample, self.dtype = echoes.n_sample, echoes.dtype
         self.band = echoes.occupied_bandwidth / 2 / echoes.fs
         pings, channels = echoes.n_ping, echoes.n_channel
@@ -58,7 +61,9 @@ class Scene:
             if not self.all_lit:
                 self.beam = record(BEAM, shape=FAN if fan else CONE, half_angle=half + edge, full_angle=full)
         trace["t0"] = np.repeat(echoes.start_time, channels)
-        trace["c"], trace["first"], trace["last"] = echoes.c, 0, echoes.n_sample - 1
+        trace["c"] = np.repeat(echoes.speeds, channels)
+        self.valid = echoes.windows.reshape(-1, 2).astype(np.int64)  # first and last sample recorded of each trace
+        trace["first"], trace["last"] = self.valid.T
         self.uniform = isinstance(weights, str)
         self.weights = _weights(weights, pings, channels)
         self.lattice: Any = None  # weights that change from pixel to pixel, see view_angles.py
@@ -71,10 +76,11 @@ class Scene:
         self.nearest = float(min(near_tx.min(), near_rx.min()))
         self.farthest = float(max(far_tx.max(), far_rx.max()))
         # indices that any pixel can ask for, within the record
-        self.first = self._index(np.floor(((near_tx + near_rx) / (self.c + speed) - trace["t0"]) * self.fs))
-        self.last = self._index(np.ceil(((far_tx + far_rx) / (self.c - speed) - trace["t0"]) * self.fs))
-        self.heard = (self.last >= 0) & (self.first <= self.n_sample - 1)
-        self.first, self.last = np.maximum(self.first, 0), np.minimum(self.last, self.n_sample - 1)
+        self.first = self._index(np.floor(((near_tx + near_rx) / (trace["c"] + speed) - trace["t0"]) * self.fs))
+        self.last = self._index(np.ceil(((far_tx + far_rx) / (trace["c"] - speed) - trace["t0"]) * self.fs))
+        begin, end = self.valid.T
+        self.heard = (self.last >= begin) & (self.first <= end) & (begin <= end)
+        self.first, self.last = np.maximum(self.first, begin), np.minimum(self.last, end)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
         self._grid = grid
         self.step = self.uneven = 0.0
@@ -120,19 +126,21 @@ class Scene:
     ) -> tuple[FloatArray, FloatArray]:
         """Where pixels `pick` (trace, some) read traces, samples, to within a sample; and what of each term is left.
 
-        By its beam, 0 to 1; 0 beyond the record's ends.
+        By its beam, 0 to 1; 0 beyond what was recorded.
         """
         index, share = self._look(traces, pixels, pick)
-        return index, np.where(self._within(index), share, 0.0)
+        return index, np.where(self._within(traces, index), share, 0.0)
 
-    def _within(self, index: FloatArray) -> npt.NDArray[np.bool_]:
-        return np.asarray((index >= 0) & (index <= self.n_sample - 1))
+    def _within(self, traces: npt.NDArray[np.int64], index: FloatArray) -> npt.NDArray[np.bool_]:
+        first, last = self.valid[traces].T[..., None]
+        return np.asarray((index >= first) & (index <= last))
 
     def _look(
         self, traces: npt.NDArray[np.int64], pixels: FloatArray, pick: npt.NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
         """The same whatever the records' ends."""
         some = self.trace.take(traces)
+        speed = some["c"][:, None]
         tx, rx, velocity, boresight, axis = (some[name].T[..., None] for name in ("tx", "rx", "velocity", "boresight", "axis"))
         pixel = [pixels[:, k][pick] for k in range(3)]
         away = [pixel[k] - tx[k] for k in range(3)]
@@ -140,10 +148,10 @@ class Scene:
         back = out
         if self.kind != MONOSTATIC:
             for _ in range(3 if self.kind == MOVING else 1):
-                late = (out + back) / self.c  # of receivers that have moved: twice again is enough
+                late = (out + back) / speed  # of receivers that have moved: twice again is enough
                 home = [pixel[k] - rx[k] - (velocity[k] * late if self.kind == MOVING else 0.0) for k in range(3)]
                 back = np.sqrt(home[0] ** 2 + home[1] ** 2 + home[2] ** 2)
-        index = ((out + back) / self.c - some["t0"][:, None]) * self.fs
+        index = ((out + back) / speed - some["t0"][:, None]) * self.fs
         if not self.beamed:
             return index, np.ones(index.shape)
         before = away[0] * boresight[0] + away[1] * boresight[1] + away[2] * boresight[2]
@@ -171,12 +179,17 @@ class Scene:
         step = float(n @ tx[:, 0]) / max(float(n @ n), 1.0)
         off = np.linalg.norm(tx - tx.mean(axis=0) - n[:, None] * [step, 0.0, 0.0], axis=1)
         late = float(np.ptp(self.trace["t0"])) * self.fc
-        return bool(step != 0 and off.max() <= 0.01 * self.c / self.fc and late <= 0.01 and self.fs < 2 * self.fc)
+        straight = step != 0 and off.max() <= 0.01 * self.c / self.fc
+        return bool(straight and self.one_speed and late <= 0.01 and self.fs < 2 * self.fc)
 
     def why_silent(self) -> str:
         """Why no pixel hears any ping."""
-        low = float(self.c / 2 * self.trace["t0"].min())
-        high = float(self.c / 2 * (self.trace["t0"].max() + (self.n_sample - 1) / self.fs))
+        some = self.valid[:, 0] <= self.valid[:, 1]
+        if not some.any():
+            return "nothing was recorded: valid holds no sample of any trace: image is zero"
+        begin, end = self.valid[some].T
+        low = float(np.min(self.trace["c"][some] / 2 * (self.trace["t0"][some] + begin / self.fs)))
+        high = float(np.max(self.trace["c"][some] / 2 * (self.trace["t0"][some] + end / self.fs)))
         return (
             f"the grid lies outside the recorded window: image is zero; grid at slant ranges {self.nearest:.4g} to "
             f"{self.farthest:.4g} m, record {low:.4g} to {high:.4g} m"
@@ -209,7 +222,7 @@ class Scene:
         heard = lit = False
         for trace in left[:, None]:
             index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
-            heard, lit = heard or bool(np.any(self._within(index))), lit or bool(np.any(share > 0))
+            heard, lit = heard or bool(np.any(self._within(trace, index))), lit or bool(np.any(share > 0))
         within = "the recorded window"
         if heard and lit:
             within = "the beam and at once within the recorded window"

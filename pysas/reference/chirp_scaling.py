@@ -98,7 +98,7 @@ def chirp_scaling(
     f = frequencies(2 * n, raw.fs)
     # an echo's centre, at half the pulse's length, stands for its travel time
     t = strip.start - pulse.duration / 2 + np.arange(f.size) / raw.fs
-    ranges = raw.c / 2 * t
+    ranges = raw.speed / 2 * t
     seen = np.flatnonzero((ranges >= max(strip.swath[0], 0.0)) & (ranges <= strip.swath[1]))
     rows = slice(int(seen[0]), int(seen[-1]) + 1)
     work = strip.spectrum(n, workers)
@@ -118,12 +118,12 @@ def chirp_scaling(
             padded = scipy.fft.fft(padded)
             padded *= _beyond_second_order(strip, f, k_u, s0, r0) * (np.abs(f) <= _HIGHER_ORDER_BAND * abs(pulse.bandwidth) / 2)
             padded = scipy.fft.ifft(padded)
-        padded *= np.exp(1j * np.pi * k_s * c1 * (t - 2 * r0 / raw.c * (1 + c1)) ** 2)
+        padded *= np.exp(1j * np.pi * k_s * c1 * (t - 2 * r0 / raw.speed * (1 + c1)) ** 2)
         padded = scipy.fft.fft(padded)
-        padded *= inside * np.exp(1j * np.pi * (f**2 / (k_s * (1 + c1)) + 4 * f * r0 / raw.c * c1))
+        padded *= inside * np.exp(1j * np.pi * (f**2 / (k_s * (1 + c1)) + 4 * f * r0 / raw.speed * c1))
         line = scipy.fft.ifft(padded)[rows]
         x = ranges[rows]
-        residual = 4 * np.pi / raw.c**2 * k_s * c1 * (1 + c1) * (x - r0) ** 2
+        residual = 4 * np.pi / raw.speed**2 * k_s * c1 * (1 + c1) * (x - r0) ** 2
         out[row] = line * np.exp(1j * (x * s0 - residual)) * (unit / np.sqrt(1 + c1))
 
     _pool.run(task, len(work), workers)
@@ -133,7 +133,7 @@ def chirp_scaling(
         "chirp scaling", threads=workers, backend="numpy", prepare_seconds=prepared - clock, choices=choices,
         sum_seconds=time.perf_counter() - prepared,
     )  # fmt: skip
-    return Image(np.ascontiguousarray(data), strip.grid(ranges[rows]), report, raw.fc, raw.c)
+    return Image(np.ascontiguousarray(data), strip.grid(ranges[rows]), report, raw.fc, raw.speed)
 
 
 def _pulse(raw: Echoes) -> LFM:
@@ -153,7 +153,7 @@ def _second_order(strip: Strip) -> FloatArray:
     """8 pi k_u^2/(c^2 S0^3) of each processed row, s^2/m (0 in others)."""
     k_u = np.where(strip.kept, strip.k_u, 0.0)
     s0 = np.sqrt((2 * strip.k0) ** 2 - k_u**2)
-    return np.asarray(8 * np.pi * k_u**2 / (strip.echoes.c**2 * s0**3))
+    return np.asarray(8 * np.pi * k_u**2 / (strip.echoes.speed**2 * s0**3))
 
 
 def _check_rate(strip: Strip, pulse: LFM) -> None:
@@ -178,15 +178,15 @@ def _scaled_rate(strip: Strip, pulse: LFM, r0: float) -> FloatArray:
 def _least_fs(strip: Strip, pulse: LFM, curvature: FloatArray, rate: FloatArray, r0: float) -> float:
     """Sample rate that holds the scaled spectra of points anywhere in the record, Hz."""
     near, far = strip.swath
-    last = far - pulse.duration * strip.echoes.c / 2
+    last = far - pulse.duration * strip.echoes.speed / 2
     offset = max(abs(near - r0), abs(last - r0))
-    moved = np.abs(rate) * curvature * (1 + curvature) * 4 * offset / strip.echoes.c
+    moved = np.abs(rate) * curvature * (1 + curvature) * 4 * offset / strip.echoes.speed
     return float(np.max(abs(pulse.bandwidth) * (1 + curvature) + moved))
 
 
 def _beyond_second_order(strip: Strip, f: FloatArray, k_u: float, s0: float, r0: float) -> npt.NDArray[np.complex128]:
     """Step 0; zero where nothing propagates."""
-    c = strip.echoes.c
+    c = strip.echoes.speed
     k, w = strip.wavenumber(f), 2 * np.pi * f
     k_x = np.sqrt(np.clip(4 * k**2 - k_u**2, 0, None))
     phase = k_x - s0 - 4 * strip.k0 / (c * s0) * w + 2 * k_u**2 / (c**2 * s0**3) * w**2

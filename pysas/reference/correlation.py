@@ -63,7 +63,7 @@ def correlation(raw: Echoes, grid: Grid, pulse: Any = None, pulse_t0: Any = 0.0)
     pulses, starts = _pulses(raw, pulse), np.broadcast_to(np.asarray(pulse_t0, dtype=np.float64), (raw.n_ping,))
     if raw.velocity is not None:
         raise ValueError("raw: receivers with a velocity: expected stop-and-hop echoes (pysas.reference.phase_centres)")
-    clock = time.perf_counter()
+    raw, clock = raw.whole(), time.perf_counter()
     wanted = np.arange(grid.size) if grid.mask is None else np.flatnonzero(grid.mask)
     points = grid.coordinates(wanted)
     total = np.zeros(grid.size, dtype=np.complex128)
@@ -78,7 +78,7 @@ def correlation(raw: Echoes, grid: Grid, pulse: Any = None, pulse_t0: Any = 0.0)
             trace = raw.traces[ping, channel].astype(np.complex128)
             away = np.linalg.norm(points - raw.tx[ping], axis=1) + np.linalg.norm(points - raw.receivers[ping, channel], axis=1)
             for begin in range(0, wanted.size, step):
-                tau = away[begin : begin + step] / raw.c
+                tau = away[begin : begin + step] / raw.speeds[ping]
                 start = float(raw.start_time[ping])
                 if isinstance(own, LFM):
                     terms = _lfm(raw, own, trace, tau, start)
@@ -91,7 +91,7 @@ def correlation(raw: Echoes, grid: Grid, pulse: Any = None, pulse_t0: Any = 0.0)
     report = Report(
         "correlation", backend="numpy", threads=1, sum_seconds=time.perf_counter() - clock, terms=count, choices=choices
     )
-    return Image(total.reshape(grid.shape), grid, report, raw.fc, raw.c)
+    return Image(total.reshape(grid.shape), grid, report, raw.fc, raw.mean_speed)
 
 
 def _pulses(raw: Echoes, pulse: Any) -> list[Any]:

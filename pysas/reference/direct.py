@@ -37,8 +37,9 @@ def exact(
 ) -> tuple[Complex, Float]:
     """Sum weight s(tau) exp(+2j pi fc tau) over pings and channels, and its incoherent level R.
 
-    A (pixel, ping, channel) term counts if and only if u = (tau - t0) fs lies from 0 to n - 1 for n samples and, with a
-    beam, if the pixel's angle alpha off its middle is at most the half-angle: the angle between the vector from the
+    A (pixel, ping, channel) term counts if and only if u = (tau - t0) fs lies from 0 to n - 1 for n samples (of `valid` =
+    (a, b), from a to b: such a trace is the one cropped to samples a to b, begun at t0 + a/fs, whatever the others hold) and,
+    with a beam, if the pixel's angle alpha off its middle is at most the half-angle: the angle between the vector from the
     transmitter to the pixel and boresight (cone), or the plane across the fan's axis, of which only boresight's side counts
     (receivers are not tested; a pixel on the transmitter counts). It then weighs 1 up to (1 - taper) half_angle and
     cos^2(pi/2 (alpha - (1 - taper) half_angle)/(taper half_angle)) beyond, beside `weights`. Pixels are often put exactly on
@@ -46,7 +47,7 @@ def exact(
     put by EDGE = 1e-4 samples (-1e-4 <= u <= n - 1 + 1e-4) and, where there is no taper and at the end of a fan's side,
     EDGE_ANGLE = 1e-7 rad: coordinates of 5e6 m rounded to float64 are wrong by 1e-6 samples at 1 MHz and by 1e-9 rad at 1 m,
     and no sonar is known to 2 um or 1e-7 rad. Beyond its end a trace is read at the end. The delay obeys
-    c tau = |x - tx| + |x - rx - velocity tau|.
+    c tau = |x - tx| + |x - rx - velocity tau| with the ping's own c.
 
     Each trace is read as a band-limited signal: extended with zeros, low-passed by W(f) = 1 for |f| <= fs/2.2 falling
     as cos^2 to exactly 0 at fs/2, and sampled at 8 fs. Here the zeros have no end: the trace is convolved with W's
@@ -59,7 +60,7 @@ def exact(
     Parameters
     ----------
     echoes : Echoes
-        Range-compressed data, finite.
+        Range-compressed data, finite where they were recorded.
     grid : Grid
         Where. Pixels whose mask is False are 0.
     pixels : (n,) integers, optional
@@ -92,11 +93,14 @@ def exact(
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
     _require_finite(echoes)
-    peak = max(float(np.max(np.abs(part))) for part in (echoes.data.real, echoes.data.imag))
+    peak = _peak(echoes)
     if peak > 0 and not 1e-100 < peak < 1e100:  # their squares are no numbers, those of others of the same shape are
         shift = int(np.frexp(peak)[1])
-        parts = [np.ldexp(np.asarray(part, dtype=np.float64), -shift) for part in (echoes.data.real, echoes.data.imag)]
-        found = exact(echoes.replace(data=parts[0] + 1j * parts[1]), grid, pixels, weights)
+        data = np.empty(echoes.data.shape, dtype=np.complex128)
+        with np.errstate(invalid="ignore", over="ignore"):  # of what was not recorded
+            for part, source in ((data.real, echoes.data.real), (data.imag, echoes.data.imag)):
+                np.ldexp(np.asarray(source, dtype=np.float64), -shift, out=part)
+        found = exact(echoes.replace(data=data), grid, pixels, weights)
         return np.ldexp(found[0].view(np.float64), shift).view(np.complex128), np.ldexp(found[1], shift)
     factors = _factors(weights, echoes)
     points = grid.coordinates(pixels)
@@ -116,11 +120,28 @@ def exact(
 
 def _require_finite(echoes: Echoes) -> None:
     for ping in range(echoes.n_ping):
-        finite = np.isfinite(echoes.traces[ping])
-        if not finite.all():
-            channel, sample = (int(i) for i in np.argwhere(~finite)[0])
-            where = f"ping {ping}, channel {channel}, sample {sample}"
-            raise ValueError(f"data: {echoes.traces[ping, channel, sample]} at {where}: expected finite samples")
+        for channel in range(echoes.n_channel):
+            trace, first = _cropped(echoes, ping, channel)
+            finite = np.isfinite(trace)
+            if not finite.all():
+                sample = int(np.argmin(finite))
+                where = f"ping {ping}, channel {channel}, sample {first + sample}"
+                raise ValueError(f"data: {trace[sample]} at {where}: expected finite samples")
+
+
+def _cropped(echoes: Echoes, ping: int, channel: int) -> tuple[npt.NDArray[Any], int]:
+    """What was recorded of a trace, and the number of its first sample."""
+    trace, valid = echoes.traces[ping, channel], echoes.valid
+    if valid is None:
+        return trace, 0
+    first, last = (int(end) for end in (valid[ping] if valid.ndim == 2 else valid[ping, channel]))
+    return trace[first : last + 1], first
+
+
+def _peak(echoes: Echoes) -> float:
+    """Largest real or imaginary part recorded."""
+    traces = (_cropped(echoes, ping, channel)[0] for ping in range(echoes.n_ping) for channel in range(echoes.n_channel))
+    return max(float(np.max(np.abs(part), initial=0.0)) for trace in traces for part in (trace.real, trace.imag))
 
 
 def _factors(weights: npt.ArrayLike | None, echoes: Echoes) -> npt.NDArray[Any]:
@@ -142,15 +163,16 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
     """Image and squared level at `points` (3, n)."""
     total = np.zeros(points.shape[1], dtype=np.complex128)
     power = np.zeros(points.shape[1])
-    fs, fc, c = (np.longdouble(value) for value in (echoes.fs, echoes.fc, echoes.c))
-    last = echoes.n_sample - 1
+    fs, fc = np.longdouble(echoes.fs), np.longdouble(echoes.fc)
     for ping in range(echoes.n_ping):
         seen, lit = _seen(echoes, points, ping)
-        start_time = np.longdouble(echoes.start_time[ping])
+        c = np.longdouble(echoes.c if isinstance(echoes.c, float) else echoes.c[ping])
         outward = _distance(points[:, seen], echoes.tx[ping])
         for channel in range(echoes.n_channel):
             receiver = echoes.receivers[ping, channel]
             velocity = None if echoes.receiver_velocity is None else echoes.receiver_velocity[ping, channel]
+            trace, first = _cropped(echoes, ping, channel)
+            start_time, last = np.longdouble(echoes.start_time[ping]) + first / fs, trace.size - 1
             fine: Complex | None = None  # made only where a pixel needs it
             for start in range(0, seen.size, CHUNK):
                 chunk = seen[start : start + CHUNK]
@@ -160,7 +182,7 @@ def _sum(echoes: Echoes, points: Long, factors: npt.NDArray[Any]) -> tuple[Compl
                 if not counts.any():
                     continue
                 if fine is None:
-                    fine = _fine_trace(echoes.traces[ping, channel])
+                    fine = _fine_trace(trace)
                 pixel = chunk[counts]
                 sample = factors[ping, channel] * _read(fine, np.clip(position[counts], 0, last))
                 sample *= lit[start : start + CHUNK][counts]

@@ -138,7 +138,7 @@ def fourier_image(
         | ({"library": used} if method == "nufft" else {}),
         notes=tuple(notes),
     )  # fmt: skip
-    return Image(image, grid, report, echoes.fc, echoes.c)
+    return Image(image, grid, report, echoes.fc, echoes.speed)
 
 
 def _checked(echoes: Echoes, grid: Grid) -> Survey:
@@ -154,6 +154,7 @@ def _checked(echoes: Echoes, grid: Grid) -> Survey:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
     if echoes.beam is not None:
         raise ValueError("echoes: a beam ends within patches: expected beam=None (echoes.replace(beam=None))")
+    echoes = echoes.whole()
     finite = np.isfinite(echoes.traces)
     if not finite.all():
         ping, channel, sample = (int(i) for i in np.argwhere(~finite)[0])
@@ -192,7 +193,7 @@ def _inverted(part: Patch, method: str, error: float, r: int, rcond: float) -> t
     targets = expansion.targets(part.offsets)
     k0 = (k.min(axis=0) + k.max(axis=0)) / 2
     echoes = expansion.survey.echoes
-    cell = echoes.c / (2 * echoes.occupied_bandwidth)
+    cell = echoes.speed / (2 * echoes.occupied_bandwidth)
     half = np.maximum(_WIDER * np.abs(targets).max(axis=0), _CELLS * cell)
     points = (k - k0) * half / np.pi
     modes = tuple(int(n) for n in np.ceil(np.abs(points).max(axis=0)))

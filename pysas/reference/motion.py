@@ -66,11 +66,12 @@ def motion_compensate(
         raise ValueError(f"order={order!r}: expected 1 or 2")
     start = one_start(echoes)
     r0 = sum(echoes.swath) / 2 if reference_range is None else _checks.number("reference_range", reference_range, positive=True)
+    echoes = echoes.whole()
     finite = np.isfinite(echoes.traces).all(axis=(1, 2))
     if not finite.all():
         raise ValueError(f"echoes: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
     centres = Centres.of(echoes)
-    middle = centres.at(2 * r0 / echoes.c)
+    middle = centres.at(2 * r0 / echoes.speed)
     y0, z0 = middle[:, 1:].mean(axis=0) if line is None else _checks.reals("line", line, [(2,)])
     height = abs(seabed - z0)
     if r0 <= height:
@@ -81,14 +82,14 @@ def motion_compensate(
     if echoes.beam is not None and echoes.beam.boresight.reshape(-1, 3)[:, 1].mean() < 0:
         side = -1.0
     # above the seabed there is nothing to be right about: the correction of the nadir is held
-    r = np.maximum(echoes.c / 2 * tau, height) if order == 2 else np.full(tau.size, r0)
-    when = tau if order == 2 else np.full(tau.size, 2 * r0 / echoes.c)
+    r = np.maximum(echoes.speed / 2 * tau, height) if order == 2 else np.full(tau.size, r0)
+    when = tau if order == 2 else np.full(tau.size, 2 * r0 / echoes.speed)
     across = y0 + side * np.sqrt(r**2 - height**2)
     traces = echoes.traces.reshape(-1, echoes.n_sample)
     data = np.empty(traces.shape, dtype=echoes.dtype)
     for i, trace in enumerate(traces):
         y, z = (centres.middle[i, axis] + centres.drift[i, axis] * when for axis in (1, 2))
-        data[i] = delayed(echoes, trace, 2 / echoes.c * (np.hypot(across - y, seabed - z) - r))
+        data[i] = delayed(echoes, trace, 2 / echoes.speed * (np.hypot(across - y, seabed - z) - r))
     shift = np.zeros(echoes.receivers.shape)
     shift[..., 1:] = (np.array([y0, z0]) - middle[:, 1:]).reshape(*shift.shape[:2], 2)
     # the transmitter of several channels has one place: baselines across the track end in the receivers
@@ -97,7 +98,7 @@ def motion_compensate(
     velocity = None
     if echoes.receiver_velocity is not None:
         velocity = echoes.receiver_velocity * np.array([1.0, 0.0, 0.0])
-        rx = rx + echoes.receiver_velocity * np.array([0.0, 1.0, 1.0]) * (2 * r0 / echoes.c)
+        rx = rx + echoes.receiver_velocity * np.array([0.0, 1.0, 1.0]) * (2 * r0 / echoes.speed)
         velocity = velocity.reshape(echoes.rx.shape)
     attrs = {**echoes.attrs, "displacement": float(np.max(np.linalg.norm(shift, axis=-1)))}
     return echoes.replace(

@@ -128,7 +128,7 @@ def omega_k(
         sum_seconds=time.perf_counter() - prepared,
         choices={"interpolation": interpolation, "zero_padding": zero_padding, "reference_range": stolt.r0, "weight": weight},
     )  # fmt: skip
-    return Image(np.ascontiguousarray(image), strip.grid(stolt.ranges), report, echoes.fc, echoes.c)
+    return Image(np.ascontiguousarray(image), strip.grid(stolt.ranges), report, echoes.fc, echoes.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,18 +148,18 @@ class _Stolt:
     def shift_arguments(self, k_u: float) -> tuple[float, ...]:
         """Of `_shift` for the row of one along-track wavenumber."""
         echoes = self.strip.echoes
-        return k_u, self.r0, self.strip.start, echoes.fs / self.f.size, echoes.fc, echoes.c
+        return k_u, self.r0, self.strip.start, echoes.fs / self.f.size, echoes.fc, echoes.speed
 
     def map_arguments(self, k_u: float) -> tuple[float, ...]:
         """Of `_map`."""
         echoes = self.strip.echoes
         turn = self.step * (self.ranges[0] - self.r0)
-        return k_u, self.first, self.step, turn, echoes.fs / self.f.size, echoes.fc, echoes.c
+        return k_u, self.first, self.step, turn, echoes.fs / self.f.size, echoes.fc, echoes.speed
 
     def gain(self, summed: bool) -> ComplexArray:
         """Factor (range,) after the transform over k_x: its carrier and scale, with the sqrt(range) law where `summed`."""
         echoes, spacing = self.strip.echoes, self.ranges[1] - self.ranges[0]
-        scale: npt.NDArray[Any] = echoes.c / (2 * echoes.fs * spacing) * np.exp(1j * self.first * (self.ranges - self.r0))
+        scale: npt.NDArray[Any] = echoes.speed / (2 * echoes.fs * spacing) * np.exp(1j * self.first * (self.ranges - self.r0))
         if summed:
             scale = scale * np.sqrt(np.pi * self.ranges) * np.exp(0.25j * np.pi) / self.strip.spacing
         return np.asarray(scale.astype(echoes.dtype))
@@ -169,13 +169,13 @@ def _layout(strip: Strip, zero_padding: int, r0: float, width: float, interpolat
     """Choose the grids: k_x spans all that the band maps to, the range grid all that may focus outside the record."""
     echoes = strip.echoes
     f = frequencies(zero_padding * echoes.n_sample, echoes.fs)
-    lowest, highest = (4 * np.pi * (echoes.fc + sign * width / 2) / echoes.c for sign in (-1, 1))
+    lowest, highest = (4 * np.pi * (echoes.fc + sign * width / 2) / echoes.speed for sign in (-1, 1))
     widest = float(np.max(np.abs(strip.k_u[strip.kept])))
     low = np.sqrt(max(lowest**2 - widest**2, 0.0))
     near, far = max(strip.swath[0], 0.0), strip.swath[1]
     if far <= 0:
         raise ValueError(f"echoes: the record ends at slant range {far:g} m: expected samples after transmission")
-    spacing = min(echoes.c / (2 * echoes.fs), 2 * np.pi / (highest - low))
+    spacing = min(echoes.speed / (2 * echoes.fs), 2 * np.pi / (highest - low))
     if np.floor((far - near) / spacing) < 1:
         raise ValueError(f"echoes: a record of {echoes.n_sample} samples: expected at least two ranges after transmission")
     # a point nearer than the record is focused before its start, and must not wrap round onto the far end

@@ -163,7 +163,7 @@ def one_way(
     choices |= {"half_angle": line.half_angle, "margin": line.margin, "domains": domains}
     seconds = time.perf_counter() - clock
     report = Report("one-way", threads=workers, backend="numba", sum_seconds=seconds, choices=choices)
-    return Image(out, line.grid, report, echoes.fc, echoes.c)
+    return Image(out, line.grid, report, echoes.fc, echoes.speed)
 
 
 def spectrum(line: Line) -> tuple[Block, FloatArray]:
@@ -216,7 +216,7 @@ def _carrier(
     apart = np.diff(z) if z.size > 1 else np.ones(1)
     if np.ptp(apart) > 1e-6 * apart[0]:
         raise ValueError('grid: expected evenly spaced y with form="carrier"')
-    wavelength = echoes.c / (2 * echoes.fc)
+    wavelength = echoes.speed / (2 * echoes.fc)
     divided = int(np.ceil(apart[0] / (wavelength / 16 if step is None else step) * (1 - 1e-9)))
     dz = float(apart[0] / divided)
     # a cell j of Crank-Nicolson has taken j + 1 steps of diffraction; Euler's is where the paper puts it, at j dz
@@ -230,13 +230,13 @@ def _carrier(
     inside = slice(line.margin, line.margin + len(wave))
     padded[inside] = wave
     march = March(echoes.fc + f, line.spacing, terms, 0.0, threads)
-    padded = march.enter(padded, slice(0, f.size), echoes.c, 0.0, summed)
+    padded = march.enter(padded, slice(0, f.size), echoes.speed, 0.0, summed)
     latest = line.strip.start + (line.period - 1) / echoes.fs
-    count = max(int(np.ceil((latest * echoes.c / 2 - offset) / dz)), cells)
+    count = max(int(np.ceil((latest * echoes.speed / 2 - offset) / dz)), cells)
 
     def signal(first: int, last: int) -> Block:
         n = np.arange(first, last)
-        t = 2 / echoes.c * ((count - 1 - n + ahead) * dz + offset)
+        t = 2 / echoes.speed * ((count - 1 - n + ahead) * dz + offset)
         cycles = (echoes.fc + f)[:, None] * t
         data = padded @ np.exp(2j * np.pi * (cycles - np.rint(cycles))).astype(padded.dtype)
         data[:, t > latest] = 0

@@ -73,13 +73,13 @@ def map_to_line(
         )
     reach = strip.side * (place - strip.y0)
     if step is None:
-        turn = -float(one_way_wavenumber(np.array(4 * np.pi * highest / echoes.c), np.array(np.sin(half) ** 2), terms))
-        step = min(longest_step(highest, echoes.c, half, echoes.c, reach), PHASE / turn)
+        turn = -float(one_way_wavenumber(np.array(4 * np.pi * highest / echoes.speed), np.array(np.sin(half) ** 2), terms))
+        step = min(longest_step(highest, echoes.speed, half, echoes.speed, reach), PHASE / turn)
     count = max(1, int(np.ceil(reach / _checks.number("step", step, positive=True) * (1 - 1e-9))))
     if margin is None:
         margin = min(len(depth), int(np.ceil(reach * np.tan(half) / strip.spacing)))
     margin = _checks.whole("margin", margin, 0)
-    earlier = int(np.ceil(2 * reach / echoes.c * echoes.fs))
+    earlier = int(np.ceil(2 * reach / echoes.speed * echoes.fs))
     f = frequencies(echoes.n_sample + earlier + skirt(echoes), echoes.fs)
     inside = np.flatnonzero(np.abs(f) <= min(echoes.fs, echoes.occupied_bandwidth) / 2)
     spectrum = scipy.fft.fft(strip.data, f.size, axis=1, workers=workers)
@@ -91,9 +91,9 @@ def map_to_line(
     def task(number: int) -> None:
         part, frequency = inside[blocks[number]], march.frequency[blocks[number]]
         w = np.zeros((passed.size, part.size), dtype=spectrum.dtype)
-        w[margin : passed.size - margin] = spectrum[:, part] * _turned(-2 * depth[:, None] / echoes.c * frequency)
-        _cross(w, march.factor(reach / count, echoes.c, blocks[number]), passed, count)
-        turns = 2 * reach / echoes.c * frequency - f[part] * earlier / echoes.fs
+        w[margin : passed.size - margin] = spectrum[:, part] * _turned(-2 * depth[:, None] / echoes.speed * frequency)
+        _cross(w, march.factor(reach / count, echoes.speed, blocks[number]), passed, count)
+        turns = 2 * reach / echoes.speed * frequency - f[part] * earlier / echoes.fs
         line_spectrum[:, part] = w[margin : passed.size - margin] * _turned(turns)
 
     _pool.run(task, len(blocks), workers)
@@ -113,7 +113,7 @@ def _path(echoes: Echoes, path: npt.ArrayLike | None, line: float | None) -> tup
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
     found = echoes.tx if path is None else _checks.reals("path", path, [(echoes.n_ping, 3)], ("ping",))
     off = np.abs(found[:, 2] - found[:, 2].mean())
-    limit = TOLERANCE * echoes.c / echoes.fc
+    limit = TOLERANCE * echoes.speed / echoes.fc
     if off.max() > limit:
         ping = int(np.argmax(off > limit))
         raise ValueError(

@@ -179,12 +179,12 @@ class Line:
         for i, (top, speed) in enumerate(self.layers):
             bottom = min(self.layers[i + 1][0] if i + 1 < len(self.layers) else np.inf, self.z[-1])
             c = float(np.mean(speed))
-            turned += edge_turn(self.highest, c, self.half_angle, self.strip.echoes.c) * max(bottom - max(top, start), 0.0)
-        return columns_per_ping(self.highest * self.spacing / self.strip.echoes.c, self.half_angle, turned)
+            turned += edge_turn(self.highest, c, self.half_angle, self.strip.echoes.speed) * max(bottom - max(top, start), 0.0)
+        return columns_per_ping(self.highest * self.spacing / self.strip.echoes.speed, self.half_angle, turned)
 
     def longest(self, speed: float | FloatArray, depth: float) -> float:
         """Step for which Crank-Nicolson's phase b^3/12, b that of a step, adds up to PHASE over `depth` at the beam's edge."""
-        return longest_step(self.highest, float(np.mean(speed)), self.half_angle, self.strip.echoes.c, depth)
+        return longest_step(self.highest, float(np.mean(speed)), self.half_angle, self.strip.echoes.speed, depth)
 
 
 def edge_turn(highest: float, speed: float, half_angle: float, outside: float) -> float:
@@ -208,10 +208,11 @@ def columns_per_ping(waves: float, half_angle: float, turned: float) -> int:
 def checked(echoes: Echoes) -> Strip:
     """`prepare`, for one ping too: it is one column with Neumann ends, the same as two equal ones."""
     if isinstance(echoes, Echoes) and echoes.n_ping == 1 and echoes.n_channel == 1:
+        echoes = echoes.whole()
         apart = np.array([[0.0, 0, 0], [1.0, 0, 0]])
         twice = np.concatenate([echoes.traces[:, 0]] * 2)
         echoes = Echoes(
-            twice, fs=echoes.fs, fc=echoes.fc, tx=echoes.tx + apart, rx=echoes.receivers[:, 0] + apart, c=echoes.c,
+            twice, fs=echoes.fs, fc=echoes.fc, tx=echoes.tx + apart, rx=echoes.receivers[:, 0] + apart, c=echoes.speed,
             t0=float(echoes.start_time[0]), bandwidth=echoes.bandwidth, pulse=echoes.pulse, compressed=echoes.compressed,
         )  # fmt: skip
     return prepare(echoes, None)
@@ -219,7 +220,7 @@ def checked(echoes: Echoes) -> Strip:
 
 def beam_angle(echoes: Echoes, spacing: float, highest: float, half_angle: float | None, carried: float) -> float:
     """Half-angle about broadside that must focus, rad; warns where `spacing` is more than `carried`/k_x."""
-    k = 4 * np.pi * highest / echoes.c
+    k = 4 * np.pi * highest / echoes.speed
     limit = float(np.arcsin(min(carried / (k * spacing), 1.0)))
     if half_angle is not None:
         half = _checks.number("half_angle", half_angle, positive=True)
@@ -272,7 +273,7 @@ def _default_grid(strip: Strip, columns: int) -> Grid:
     near, far = max(strip.swath[0], 0.0), strip.swath[1]
     if far <= 0:
         raise ValueError(f"echoes: the record ends at slant range {far:g} m: expected samples after transmission")
-    ranges = even_ranges(near, far, strip.echoes.c / (2 * strip.echoes.fs))
+    ranges = even_ranges(near, far, strip.echoes.speed / (2 * strip.echoes.fs))
     return Grid.plane(strip.x0 + strip.spacing * np.arange(columns), strip.y0 + strip.side * ranges, z=strip.z0)
 
 
@@ -301,7 +302,7 @@ def _pixels(
 def _layers(layers: Any, echoes: Echoes) -> Layers:
     """Layers as (top, speed), the first at the track."""
     if layers is None:
-        return [(0.0, echoes.c)]
+        return [(0.0, echoes.speed)]
     if not isinstance(layers, Sequence) or not layers or any(not isinstance(v, Sequence) or len(v) != 2 for v in layers):
         raise TypeError(f"layers={layers!r}: expected a sequence of pairs (top in m, speed in m/s)")
     found: Layers = []

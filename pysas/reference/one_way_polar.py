@@ -71,6 +71,7 @@ def one_way_polar(
     """
     clock = time.perf_counter()
     circle = _Circle.of(echoes, grid)
+    echoes = echoes.whole()
     terms, workers = equation(angle), _checks.threads(threads)
     highest = echoes.fc + min(echoes.fs, echoes.occupied_bandwidth) / 2
     spacing = circle.radius * circle.step
@@ -80,16 +81,16 @@ def one_way_polar(
     there = np.arcsin(circle.radius * np.sin(half) / circle.r[last])
     if margin is None:
         # beyond what a ray crosses the Fresnel zone, as on a full circle the margin's end is not silent
-        beyond = 2 * np.sqrt(echoes.c / (2 * echoes.fc) * depth[last]) / spacing if circle.closed else 0.0
+        beyond = 2 * np.sqrt(echoes.speed / (2 * echoes.fc) * depth[last]) / spacing if circle.closed else 0.0
         margin = min(echoes.n_ping, int(np.ceil(np.abs(half - there) / circle.step + beyond)))
     margin = min(_checks.whole("margin", margin, 0), echoes.n_ping)
     if step is None:
-        step = longest_step(highest, echoes.c, max(half, there), echoes.c, float(depth[last]))
-    steps = _steps(circle, _checks.number("step", step, positive=True), echoes.c)
+        step = longest_step(highest, echoes.speed, max(half, there), echoes.speed, float(depth[last]))
+    steps = _steps(circle, _checks.number("step", step, positive=True), echoes.speed)
     start = float(echoes.start_time[0])
-    late = 2 * depth[last] / echoes.c / np.cos(max(half, there, 0.5)) - start
+    late = 2 * depth[last] / echoes.speed / np.cos(max(half, there, 0.5)) - start
     n = max(echoes.n_sample, int(np.ceil(late * echoes.fs))) + 2 * skirt(echoes)
-    n += max(0, int(np.ceil((start - 2 * depth.min() / echoes.c) * echoes.fs)))
+    n += max(0, int(np.ceil((start - 2 * depth.min() / echoes.speed) * echoes.fs)))
     f = frequencies(n, echoes.fs)
     n, inside = f.size, np.abs(f) <= min(echoes.fs, echoes.occupied_bandwidth) / 2
     f = f[inside]
@@ -97,19 +98,19 @@ def one_way_polar(
     wave = scipy.fft.fft(echoes.traces[circle.order, 0], n, axis=1, workers=workers)[:, inside]
     wave *= np.exp(-2j * np.pi * f * start) * (1 if matched is None else matched) / n
     wave = np.pad(wave, ((margin, margin), (0, 0)), "wrap" if circle.closed else "constant")
-    turned = edge_turn(highest, echoes.c, max(half, there), echoes.c) * float(depth[last])
-    fine = columns_per_ping(highest * spacing / echoes.c, half, turned)
+    turned = edge_turn(highest, echoes.speed, max(half, there), echoes.speed) * float(depth[last])
+    fine = columns_per_ping(highest * spacing / echoes.speed, half, turned)
     march = March(echoes.fc + f, spacing, terms, 1 / 12, workers, fine)
     blocks = march.blocks(len(wave), wave.itemsize)
     waves: list[Block] = [wave] * len(blocks)
 
     def enter(number: int) -> None:
-        waves[number] = march.enter(wave[:, blocks[number]], blocks[number], echoes.c, 0.0, False)
+        waves[number] = march.enter(wave[:, blocks[number]], blocks[number], echoes.speed, 0.0, False)
 
     _pool.run(enter, len(blocks), workers)
     out = np.zeros((circle.r.size, echoes.n_ping), dtype=wave.dtype)
     march.image(waves, blocks, steps, slice(margin, margin + echoes.n_ping), out)
-    quarter = (1 / circle.radius - 1 / circle.r) * np.sign(circle.r - circle.radius) * echoes.c / (32 * np.pi * echoes.fc)
+    quarter = (1 / circle.radius - 1 / circle.r) * np.sign(circle.r - circle.radius) * echoes.speed / (32 * np.pi * echoes.fc)
     out *= (np.sqrt(circle.radius / circle.r) * np.exp(1j * quarter)).astype(out.dtype)[:, None]
     image = np.ascontiguousarray(out[:, circle.columns].T)
     choices = {
@@ -123,7 +124,7 @@ def one_way_polar(
     report = Report(
         "one-way, polar", threads=workers, backend="numba", sum_seconds=time.perf_counter() - clock, choices=choices
     )  # fmt: skip
-    return Image(image, grid, report, echoes.fc, echoes.c)
+    return Image(image, grid, report, echoes.fc, echoes.speed)
 
 
 class _Circle:
@@ -131,7 +132,7 @@ class _Circle:
 
     def __init__(self, echoes: Echoes, grid: Grid) -> None:
         away = echoes.tx - np.array(grid.centre)
-        limit = TOLERANCE * echoes.c / echoes.fc
+        limit = TOLERANCE * echoes.speed / echoes.fc
         self.radius = float(np.hypot(away[:, 0], away[:, 1]).mean())
         turn = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
         self.step = float(np.abs(turn[-1] - turn[0]) / (len(turn) - 1))
@@ -170,7 +171,7 @@ class _Circle:
             )
         if np.ptp(echoes.start_time) * echoes.fc > TOLERANCE:
             raise ValueError("echoes: t0 differs between pings: expected one start time")
-        finite = np.isfinite(echoes.traces).all(axis=(1, 2))
+        finite = np.isfinite(echoes.whole().traces).all(axis=(1, 2))
         if not finite.all():
             raise ValueError(f"echoes: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
         circle = cls(echoes, grid)

@@ -76,7 +76,7 @@ class Survey:
         With P = |x - tx| and D = x - rx, (c tau - P)^2 = |D - v tau|^2; of the quadratic (c^2 - v^2) tau^2 - 2 (c P - D.v) tau
         + P^2 - D^2 = 0 the larger root is at least P/c.
         """
-        c = self.echoes.c
+        c = self.echoes.speed
         out = np.linalg.norm(points - self.tx[:, None], axis=-1)
         path = points - self.rx[:, None]
         a = c**2 - np.sum(self.velocity**2, axis=-1)[:, None]
@@ -192,7 +192,7 @@ def _energy(survey: Survey, delay: FloatArray, offsets: FloatArray) -> FloatArra
 
 def _derivatives(survey: Survey, centre: FloatArray, delay: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gradient (trace, 2) and second derivatives (trace, 2, 2) of the delay in the plane; the latter for still receivers."""
-    c = survey.echoes.c
+    c = survey.echoes.speed
     gradient, hessian = np.zeros((len(delay), 3)), np.zeros((len(delay), 2, 2))
     for origin in (survey.tx, survey.rx + survey.velocity * delay[:, None]):
         away = centre - origin

@@ -114,17 +114,18 @@ def phase_centres(
     r = sum(echoes.swath) / 2 if reference_range is None else _checks.number("reference_range", reference_range, positive=True)
     if r <= 0:
         raise ValueError(f"echoes: the record is centred on slant range {r:g} m: expected samples after transmission")
+    echoes = echoes.whole()
     finite = np.isfinite(echoes.traces).all(axis=(1, 2))
     if not finite.all():
         raise ValueError(f"echoes: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
     centres = Centres.of(echoes)
-    place = _on_line(echoes, centres, 2 * r / echoes.c)
+    place = _on_line(echoes, centres, 2 * r / echoes.speed)
     delay = echoes.pulse.duration / 2 if isinstance(echoes.pulse, LFM) and not echoes.compressed else 0.0
     tau = start - delay + np.arange(echoes.n_sample) / echoes.fs
     traces = echoes.traces.reshape(-1, echoes.n_sample)
     moved = np.empty(traces.shape, dtype=echoes.dtype)
     for i, trace in enumerate(traces):
-        gap = np.linalg.norm(centres.baseline[i] + centres.opening[i] * tau[:, None], axis=1) / echoes.c
+        gap = np.linalg.norm(centres.baseline[i] + centres.opening[i] * tau[:, None], axis=1) / echoes.speed
         # nearer than the baseline is long there is no equivalent sonar; the shift is held
         late = np.maximum(tau, gap)
         moved[i] = delayed(echoes, trace, np.sqrt(late**2 + gap**2) - late)
@@ -174,7 +175,7 @@ def _on_line(echoes: Echoes, centres: Centres, tau: float) -> FloatArray:
     """Phase centres for echoes of `tau`; raises where one is off their common line along x."""
     place = centres.at(tau)
     off = np.linalg.norm(place[:, 1:] - place[:, 1:].mean(axis=0), axis=1)
-    limit = TOLERANCE * echoes.c / echoes.fc
+    limit = TOLERANCE * echoes.speed / echoes.fc
     if off.max() > limit:
         ping, channel = divmod(int(np.argmax(off > limit)), echoes.n_channel)
         raise ValueError(
@@ -188,7 +189,7 @@ def _band(echoes: Echoes, along_bandwidth: float | None, step: float) -> tuple[f
     """Width and centre of the along-track band, rad/m."""
     carrier = 0.0
     if echoes.beam is not None:
-        carrier = 4 * np.pi * echoes.fc / echoes.c * float(beam_middle(echoes.beam)[0])
+        carrier = 4 * np.pi * echoes.fc / echoes.speed * float(beam_middle(echoes.beam)[0])
     if along_bandwidth is not None:
         return along_bandwidth, carrier
     sampled = _BAND * 2 * np.pi / step
@@ -207,7 +208,7 @@ def _resample(
     """Traces at even positions `x` and the rms error of the interpolation relative to the signal."""
     fastest = float(np.max(np.abs(centres.drift[:, 0])))
     step = float(x[1] - x[0]) if x.size > 1 else 1.0
-    limit = TOLERANCE * echoes.c / echoes.fc
+    limit = TOLERANCE * echoes.speed / echoes.fc
     blocks = int(np.ceil(max(fastest * float(tau[-1] - tau[0]) / (_MOVE * step), 1)))
     edges = np.unique(np.linspace(0, tau.size, min(blocks, tau.size) + 1).astype(int))
     data = np.zeros((x.size, tau.size), dtype=traces.dtype)
@@ -250,14 +251,14 @@ def _weights(u: FloatArray, x: FloatArray, width: float, carrier: float) -> tupl
 
 
 def _residual(echoes: Echoes, centres: Centres, r: float, delay: float, width: float, carrier: float) -> float:
-    tau = 2 * r / echoes.c
+    tau = 2 * r / echoes.speed
     longest = float(np.max(np.linalg.norm(centres.baseline + centres.opening * tau, axis=1)))
     low, high = (echoes.fc + sign * echoes.occupied_bandwidth / 2 for sign in (-1, 1))
     if echoes.beam is not None:
         sine = min(
-            1.0, float(np.sin(min(echoes.beam.half_angle, np.pi / 2))) + abs(carrier) * echoes.c / (4 * np.pi * echoes.fc)
+            1.0, float(np.sin(min(echoes.beam.half_angle, np.pi / 2))) + abs(carrier) * echoes.speed / (4 * np.pi * echoes.fc)
         )
     else:
-        sine = min(1.0, (width / 2 + abs(carrier)) * echoes.c / (4 * np.pi * low)) if low > 0 else 1.0
-    angle = 2 * np.pi * high / echoes.c * longest**2 * sine**2 / (4 * r)
-    return float(angle + 2 * np.pi * echoes.fc * longest**2 / (2 * echoes.c**2 * tau**2) * delay)
+        sine = min(1.0, (width / 2 + abs(carrier)) * echoes.speed / (4 * np.pi * low)) if low > 0 else 1.0
+    angle = 2 * np.pi * high / echoes.speed * longest**2 * sine**2 / (4 * r)
+    return float(angle + 2 * np.pi * echoes.fc * longest**2 / (2 * echoes.speed**2 * tau**2) * delay)

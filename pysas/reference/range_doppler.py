@@ -80,7 +80,7 @@ def range_doppler(
     matched = matched_filter(echoes, f)
     filters = np.where(np.abs(f) <= width / 2, 1.0 if matched is None else matched, 0.0)
     near, far = max(strip.swath[0], 0.0), strip.swath[1]
-    ranges = even_ranges(near, far, echoes.c / (2 * echoes.fs))
+    ranges = even_ranges(near, far, echoes.speed / (2 * echoes.fs))
     work = strip.spectrum(ranges.size, workers)
     prepared = time.perf_counter()
 
@@ -92,7 +92,7 @@ def range_doppler(
         k_u = float(strip.k_u[row])
         spectrum = scipy.fft.fft(line[:n].astype(np.complex128), f.size) * filters
         spectrum *= np.exp(1j * r0 * coupling(strip, f, k_u, secondary)) * propagating(strip, f, k_u)
-        place = (2 * ranges / echoes.c * (1 + curvature[row]) - strip.start) * echoes.fs
+        place = (2 * ranges / echoes.speed * (1 + curvature[row]) - strip.start) * echoes.fs
         read = _sinc if interpolation == "sinc" else _linear
         s0 = np.sqrt((2 * strip.k0) ** 2 - k_u**2)
         line[: ranges.size] = read(spectrum, place, n) * np.exp(1j * ranges * s0)
@@ -104,7 +104,7 @@ def range_doppler(
         "range-Doppler", threads=workers, backend="numpy", prepare_seconds=prepared - clock, choices=choices,
         sum_seconds=time.perf_counter() - prepared,
     )  # fmt: skip
-    return Image(np.ascontiguousarray(data), strip.grid(ranges), report, echoes.fc, echoes.c)
+    return Image(np.ascontiguousarray(data), strip.grid(ranges), report, echoes.fc, echoes.speed)
 
 
 def migration(strip: Strip) -> FloatArray:
@@ -130,7 +130,7 @@ def propagating(strip: Strip, f: FloatArray, k_u: float) -> npt.NDArray[np.bool_
 
 def coupling(strip: Strip, f: FloatArray, k_u: float, secondary: str) -> FloatArray:
     """Phase per metre of reference range that secondary range compression adds; 0 where nothing propagates."""
-    c = strip.echoes.c
+    c = strip.echoes.speed
     k0 = strip.k0
     s0 = np.sqrt(4 * k0**2 - k_u**2)
     w = 2 * np.pi * f

@@ -69,11 +69,11 @@ class Strip:
     @property
     def k0(self) -> float:
         """One-way wavenumber at fc, rad/m."""
-        return 2 * np.pi * self.echoes.fc / self.echoes.c
+        return 2 * np.pi * self.echoes.fc / self.echoes.speed
 
     def wavenumber(self, f: FloatArray) -> FloatArray:
         """One-way wavenumber k, rad/m, at base-band frequencies `f`, Hz."""
-        return 2 * np.pi * (self.echoes.fc + f) / self.echoes.c
+        return 2 * np.pi * (self.echoes.fc + f) / self.echoes.speed
 
     def spectrum(self, samples: int, threads: int) -> ComplexArray:
         """FFT over pings of the data, (len(k_u), max(samples, sample)); the columns beyond the record are left unset.
@@ -112,7 +112,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     ValueError
         More than one channel or moving receivers (see `phase_centres`), fewer than two pings, a ping farther than
         TOLERANCE wavelengths from an even straight line along x (it is named; see `motion_compensate`), a start time of
-        its own, or a non-finite sample.
+        its own, a sound speed of its own, or a non-finite sample.
     TypeError
         No Echoes.
     """
@@ -127,6 +127,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         raise ValueError(f"{name}: fs={echoes.fs:g} Hz: expected less than twice fc={echoes.fc:g} Hz, no frequency below zero")
     start = one_start(echoes, name)
     first, step = _even_line(echoes, name)
+    echoes = echoes.whole()
     data = echoes.traces[:, 0]
     finite = np.isfinite(data).all(axis=1)
     if not finite.all():
@@ -137,7 +138,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     if echoes.beam is not None:
         middle = beam_middle(echoes.beam)
         side = -1.0 if middle[1] < 0 else 1.0
-        centre = 4 * np.pi * echoes.fc / echoes.c * float(middle[0])
+        centre = 4 * np.pi * echoes.fc / echoes.speed * float(middle[0])
     sampled = 2 * np.pi / step
     if along_bandwidth is None:
         band = sampled
@@ -145,7 +146,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         band = _checks.number("along_bandwidth", along_bandwidth, positive=True)
         if band > sampled * (1 + 1e-12):
             raise ValueError(f"along_bandwidth={band!r}: expected at most the {sampled:g} rad/m that {step:g} m sample")
-    lowest = 4 * np.pi * (echoes.fc - min(echoes.fs, echoes.occupied_bandwidth) / 2) / echoes.c
+    lowest = 4 * np.pi * (echoes.fc - min(echoes.fs, echoes.occupied_bandwidth) / 2) / echoes.speed
     sine = (abs(centre) + band / 2) / lowest if lowest > 0 else 1.0
     cosine = float(np.sqrt(max(1 - sine**2, 0.0)))
     # what the widest processed beam of the farthest range spreads must not wrap round onto the other end
@@ -185,7 +186,7 @@ def _even_line(echoes: Echoes, name: str) -> tuple[FloatArray, float]:
     n = np.arange(echoes.n_ping) - (echoes.n_ping - 1) / 2
     middle = echoes.tx.mean(axis=0)
     step = float(n @ echoes.tx[:, 0] / (n @ n))
-    wavelength = echoes.c / echoes.fc
+    wavelength = echoes.speed / echoes.fc
     ideal = middle + n[:, None] * np.array([step, 0.0, 0.0])
     if step == 0:
         raise ValueError(f"{name}: the track does not advance along x: expected evenly spaced pings along x")

@@ -19,6 +19,7 @@ import scipy.fft
 from pysas import _checks
 from pysas._checks import ComplexArray
 from pysas.model.echoes import Echoes
+from pysas.model.gaps import windows_of, with_windows
 from pysas.model.pulse import LFM
 from pysas.signal import blocks, replicas
 
@@ -40,7 +41,8 @@ def compress(
     """Range compression by the matched filter (P. Pailhas et al. 2017, Eq 11, with the pulse's sampled energy as unit).
 
     An echo of amplitude A at travel time tau becomes A p(t - tau) exp(-2j pi fc tau) with p(0) = 1; `t0` and the number
-    of samples stay. Samples of an echo that the record cuts off are lost to its peak.
+    of samples stay. Samples of an echo that the record cuts off are lost to its peak. Samples outside `raw.valid` count as
+    zero, whatever they hold; the result has the same `valid`.
 
     Parameters
     ----------
@@ -60,8 +62,8 @@ def compress(
         Time of the first sample of measured pulses after transmission began, s; less than 0 where samples before the
         leading edge belong to it. It need not be a whole number of samples: the pulse is read as a band-limited signal.
     nan : {"raise", "mask"}
-        Non-finite samples: an error, or they count as zero and stay non-finite in the result (as NaN), which the imaging
-        functions' own `nan` then judges.
+        Non-finite samples that were recorded: an error, or they count as zero and stay non-finite in the result (as NaN). At a
+        trace's ends they shorten the result's `valid`; others the imaging functions' own `nan` judges.
     out : complex array, optional
         Filled and returned as the result's data: of the data's shape and dtype, in memory of its own, a mapped file for
         instance.
@@ -110,17 +112,32 @@ def compress(
     transfer(0)  # errors before the work
     if out is None:
         out = np.empty(raw.data.shape, dtype=raw.dtype)
-    traces, target = raw.traces, out if out.ndim == 3 else out[:, None]
+    traces, windows, target = raw.traces, raw.windows, out if out.ndim == 3 else out[:, None]
     rows = max(1, blocks.BYTES // (3 * size * raw.dtype.itemsize))
-    done = 0
+    done = shortened = 0
+    if nan == "mask":
+        windows = np.array(windows)
     for block in blocks.batches(traces.shape[0], traces.shape[1], rows):
         filters = np.stack([transfer(int(number)) for number in (which[block[0]] if len(different) > 1 else [0])])[:, None]
-        target[block] = _filter(np.asarray(traces[block]), filters, workers, block, nan)
+        recorded = np.asarray(traces[block])
+        if raw.valid is not None:
+            recorded = _recorded(recorded, windows[block])
+        if nan == "mask":
+            windows[block], count = windows_of(recorded, windows[block])
+            shortened += count
+        target[block] = _filter(recorded, filters, workers, block, nan)
         done += target[block].size
         blocks.let_go(raw.data, out)
         if progress is not None:
             progress(done / out.size)
-    return raw.replace(data=out, compressed=True)
+    made = raw.replace(data=out, compressed=True)
+    return with_windows(made, windows) if shortened else made
+
+
+def _recorded(traces: ComplexArray, windows: npt.NDArray[np.int64]) -> ComplexArray:
+    """Traces with zeros in place of what was not recorded."""
+    at = np.arange(traces.shape[-1])
+    return np.where((at >= windows[..., :1]) & (at <= windows[..., 1:]), traces, traces.dtype.type(0))
 
 
 def _filter(traces: ComplexArray, filters: ComplexArray, workers: int, block: tuple[slice, slice], nan: str) -> ComplexArray:

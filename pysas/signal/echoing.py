@@ -110,8 +110,8 @@ def add_echoes(  # type: ignore[no-untyped-def]
     The phase pi (rate u + 2 offset) u of the chirp is quadratic in the sample number, so exp(j phase) follows from two
     complex products per sample: value *= advance; advance *= bend. Every _RESTART samples all are set anew.
     """
-    tx, rx, v, start = geometry
-    carrier, rate, duration, half, fc, fs, c = model
+    tx, rx, v, start, c = geometry
+    carrier, rate, duration, half, fc, fs = model
     offset, bend = carrier - fc, _turn(rate / fs / fs)
     n_sample = sums.size
     across, sines, turns = np.zeros(4), np.zeros(4, dtype=np.complex128), np.zeros(4, dtype=np.complex128)

@@ -24,7 +24,8 @@ class Finding:
 
 
 def inspect(echoes: Echoes) -> list[Finding]:
-    """All checks, in the order a person would fix things; O(samples)."""
+    """All checks, in the order a person would fix things, of what was recorded; O(samples)."""
+    echoes = echoes.whole()
     return [
         _finite(echoes),
         _silent(echoes),
@@ -195,7 +196,7 @@ def _receivers(echoes: Echoes) -> Finding:
 
 def _first_jump(bends: FloatArray, echoes: Echoes) -> int | None:
     """Index of the first second difference that is far above the usual one and above an eighth of a wavelength."""
-    high = bends > max(10 * float(np.median(bends)), echoes.c / echoes.fc / 8)
+    high = bends > max(10 * float(np.median(bends)), echoes.mean_speed / echoes.fc / 8)
     return int(np.argmax(high)) if high.any() else None
 
 

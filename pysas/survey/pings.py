@@ -9,7 +9,7 @@ import numpy as np
 from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 
-SAME = ("fs", "fc", "c", "bandwidth", "compressed")
+SAME = ("fs", "fc", "bandwidth", "compressed")
 
 
 def joined(parts: list[Echoes]) -> Echoes:
@@ -34,6 +34,10 @@ def joined(parts: list[Echoes]) -> Echoes:
             raise ValueError("pings: velocity or beam given for some of them: expected all or none")
     changes: dict[str, Any] = {name: np.concatenate([getattr(e, name) for e in parts]) for name in ("data", "tx", "rx")}
     changes["t0"] = np.concatenate([e.start_time for e in parts])
+    if any(np.ndim(e.c) or e.c != first.c for e in parts):
+        changes["c"] = np.concatenate([e.speeds for e in parts])
+    if any(e.valid is not None for e in parts):
+        changes["valid"] = np.concatenate([e.windows if e.data.ndim == 3 else e.windows[:, 0] for e in parts])
     if first.velocity is not None:
         changes["velocity"] = np.concatenate([_moving(e) for e in parts])
     changes["ping_time"] = None

@@ -318,7 +318,7 @@ def reaches_along(echoes: Echoes, strip: Strip) -> list[tuple[float, float] | No
     heights = _heights(strip, echoes, rows)
     ground = np.stack([np.repeat(rows, heights.shape[1]), heights.ravel()], axis=1)  # y and z
     # the farthest sample: half the way and what receivers are off
-    last = echoes.c * (echoes.start_time + (echoes.n_sample - 1) / echoes.fs)
+    last = echoes.speeds * (echoes.start_time + (echoes.n_sample - 1) / echoes.fs)
     longest = last / 2 + np.max(np.linalg.norm(echoes.receivers - echoes.tx[:, None], axis=-1), axis=1)
     margin = float(np.max(np.abs(np.diff(strip.y, prepend=strip.y[0])))) + strip.step  # rows between those looked at
     found: list[tuple[float, float] | None] = []

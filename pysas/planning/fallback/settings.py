@@ -51,8 +51,8 @@ def choose(scene: Scene, budget: float, engine: Parts, wide: float = 0.0, leaves
     errors["wrap-round"] = WRAP * budget
     away = bounds.guard(WRAP * budget / max(wide, 1.0))
     length, margin, taper, beta = (scene.n_sample, 0, 0, 0.0) if wide else crop(scene, budget)
-    first, last = scene.first[scene.heard], scene.last[scene.heard]
-    ends = bool(first.size and (first.min() < away or last.max() > scene.n_sample - 1 - away))
+    begin, end = scene.valid[scene.heard].T
+    ends = bool(np.any(scene.first[scene.heard] - begin < away) or np.any(end - scene.last[scene.heard] < away))
     band = 0.5 if wide or ends else scene.band
     n_fft = scipy.fft.next_fast_len(length + (away if length == scene.n_sample else 0))
     degree = 7 if not single else 5 if budget < 3e-3 else 3

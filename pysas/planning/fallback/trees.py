@@ -138,6 +138,7 @@ def why_not(scene: Scene, tol: float) -> str:
     node, lattice = scene.c / (4 * scene.band * scene.fs), scene.lattice
     rows = [
         (tol < TOL * (1 - 1e-9), f"tol below {TOL:g}"),
+        (not scene.one_speed, "pings of different sound speeds"),
         (scene.farthest > FARTHEST * scene.c / scene.fc, f"range beyond {FARTHEST:g} wavelengths"),
         (not scene.heard.any(), "the grid lies outside the recorded window"),
         # reads at unrelated places between nodes are what bounds of sub-images' errors rest on
@@ -255,16 +256,16 @@ def _fates(
 def _within(scene: Scene, order: IntArray, middle: FloatArray, width: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Which places lie, with `width` m of path around them, inside the records of all traces `order`; and inside any."""
     inside, heard = np.ones(len(middle), dtype=np.bool_), np.zeros(len(middle), dtype=np.bool_)
-    last, at_once = scene.n_sample - 1, max(1, PAIRS // len(middle))
+    at_once = max(1, PAIRS // len(middle))
     for begin in range(0, len(order), at_once):
         t = scene.trace.take(order[begin : begin + at_once])[:, None]
         # (trace, tile), coordinate by coordinate: sums over a last axis of three are slow
         path = sum(np.sqrt(sum((middle[:, k] - t[name][..., k]) ** 2 for k in range(3))) for name in ("tx", "rx"))
         speed = np.sqrt(np.sum(t["velocity"] ** 2, axis=-1))
-        low = ((path - width) / (scene.c + speed) - t["t0"]) * scene.fs
-        high = ((path + width) / (scene.c - speed) - t["t0"]) * scene.fs
-        inside &= np.all((low >= 0) & (high <= last), axis=0)
-        heard |= np.any((high >= -EDGE) & (low <= last + EDGE), axis=0)
+        low = ((path - width) / (t["c"] + speed) - t["t0"]) * scene.fs
+        high = ((path + width) / (t["c"] - speed) - t["t0"]) * scene.fs
+        inside &= np.all((low >= t["first"]) & (high <= t["last"]), axis=0)
+        heard |= np.any((high >= t["first"] - EDGE) & (low <= t["last"] + EDGE), axis=0)
     return inside & heard, heard
 
 
@@ -279,6 +280,7 @@ def _sub_image(forest: Forest, order: IntArray, centre: FloatArray, plane: float
     speed, slant = np.linalg.norm(trace["velocity"], axis=1), grid.slant
     first = np.floor((np.maximum(2 * slant[0] - apart, 0) / (scene.c + speed) - trace["t0"]) * scene.fs).astype(np.int64)
     last = np.ceil(((2 * slant[-1] + apart) / (scene.c - speed) - trace["t0"]) * scene.fs).astype(np.int64)
-    scene.first[order] = np.maximum(np.minimum(scene.first[order], first), 0)
-    scene.last[order] = np.minimum(np.maximum(scene.last[order], last), scene.n_sample - 1)
+    begin, end = scene.valid[order].T
+    scene.first[order] = np.maximum(np.minimum(scene.first[order], first), begin)
+    scene.last[order] = np.minimum(np.maximum(scene.last[order], last), end)
     return SubImage(grid, subapertures.needed(grid, middle, radius, taps, forest.block), chosen)
