@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
+    from pysas.signal import inspection
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
@@ -29,8 +30,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
-    "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load", "metrics", "plan", "plot",
-    "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspection", "load", "metrics",
+    "plan", "plot", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
@@ -50,6 +51,7 @@ _MODULES = {
     "survey.strips": ("Strip",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+_PLACES = {"inspection": "signal.inspection"}  # modules that do not stand directly in here
 _LOADING = threading.RLock()
 
 if not TYPE_CHECKING:  # a checker shall know of no other names
@@ -58,7 +60,8 @@ if not TYPE_CHECKING:  # a checker shall know of no other names
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         with _LOADING:
-            module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
+            place = _PLACES.get(name) or _MODULE_OF.get(name, name)
+            module = importlib.import_module(f"{__name__}.{place}")
             globals()[name] = getattr(module, name) if name in _MODULE_OF else module
         return globals()[name]
 

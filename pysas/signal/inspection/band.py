@@ -1,0 +1,187 @@
+"""Samples as a signal: on which carrier, in which band, and which way the pulse sweeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from pysas._checks import ComplexArray, FloatArray
+from pysas.model.pulse import LFM
+from pysas.signal.inspection.finding import Finding
+from pysas.signal.inspection.levels import Levels
+from pysas.signal.inspection.sample import Sample
+
+_REAL = 0.9  # of sum x^2 / sum |x|^2, which is 1 where samples are real
+_BINS = 32  # of a band, where densities are compared
+_APART = 4.0  # a band elsewhere is so many times as dense as the declared one
+_BEYOND = 0.05  # share of energy that compressed data may have beyond their band
+_SWEPT = 5.0  # standard errors
+
+
+def carrier(sample: Sample, levels: Levels) -> Finding:
+    """Real samples cast to complex: half of their energy lies at -fc, and no phase is right."""
+    traces = sample.traces
+    sounding = levels.sounding
+    if sounding.any() and levels.real[sounding].all():
+        text = "imaginary parts are all zero: real pass-band samples cast to complex"
+        return Finding("base-band", "FAIL", text + ": mix down with fc and low-pass (pysas.demodulate), do not cast")
+    if sample.echoes.compressed and sample.transfer is not None and sample.band[0] == 0:
+        # the phases that compression took away come back: what was real is real again
+        phase = sample.transfer / np.maximum(np.abs(sample.transfer), 1e-300)
+        traces = sample.back(sample.spectra * phase.astype(sample.traces.dtype))
+    elif sample.echoes.compressed:
+        return Finding("base-band", "ok", "compressed with a pulse that is not given: imaginary parts there")
+    energy = float(np.sum(np.abs(traces) ** 2))
+    ratio = complex(np.sum(traces**2)) / energy if energy > 0 else 0j
+    share = float(np.sum(traces.imag**2)) / energy if energy > 0 else 0.0
+    if ratio.real > _REAL:
+        text = f"{100 * share:.2g} % of the energy in imaginary parts: real pass-band samples cast to complex"
+        return Finding("base-band", "FAIL", text + ": mix down with fc and low-pass (pysas.demodulate), do not cast")
+    if abs(ratio) > _REAL:
+        text = f"I and Q are proportional (circularity {abs(ratio):.2g}): one of them was stored twice, or lost"
+        return Finding("base-band", "FAIL", text + ": demodulate the recorded samples again")
+    return Finding("base-band", "ok", f"{100 * share:.3g} % of the energy in imaginary parts")
+
+
+@dataclass(frozen=True)
+class Density:
+    """Power a hertz at base-band frequencies, smoothed over a share of the declared band."""
+
+    frequency: FloatArray
+    power: FloatArray  # sums to 1
+    width: int  # bins of the declared band
+    middle: float
+    band: float
+
+    def inside(self) -> npt.NDArray[np.bool_]:
+        """Bins of the declared band."""
+        span = float(self.frequency[1] - self.frequency[0]) * self.frequency.size
+        off = (self.frequency - self.middle + span / 2) % span - span / 2
+        return np.asarray(np.abs(off) <= self.band / 2)
+
+
+def density(sample: Sample) -> Density:
+    """Of the sampled traces, each counted alike; O(samples log samples)."""
+    spectra = np.abs(sample.spectra) ** 2
+    total = spectra.sum(axis=-1, keepdims=True)
+    power = np.mean(np.divide(spectra, total, out=np.zeros_like(spectra), where=total > 0), axis=(0, 1), dtype=np.float64)
+    middle, band = sample.band
+    width = max(1, round(band / sample.echoes.fs * power.size))
+    return Density(scipy.fft.fftfreq(power.size, 1 / sample.echoes.fs), power, width, middle, band)
+
+
+def declared(sample: Sample) -> Finding:
+    """Where the energy lies against the band about fc that the echoes declare."""
+    echoes, found = sample.echoes, density(sample)
+    inside = found.inside()
+    share = float(found.power[inside].sum())
+    beyond = 1 - share
+    text = f"{100 * share:.3g} % of the energy within {found.middle:+.4g} +- {found.band / 2:.4g} Hz of fc"
+    if found.width >= 0.9 * found.power.size or not found.power.any():
+        return Finding("band", "ok", text)
+    # sliding over the circle of frequencies
+    total = np.cumsum(np.r_[found.power, found.power[: found.width]])
+    sliding = total[found.width :] - total[: -found.width]
+    at = int(np.argmax(sliding))
+    there = float(found.frequency[(at + 1 + found.width // 2) % found.power.size])
+    off = (there - found.middle + echoes.fs / 2) % echoes.fs - echoes.fs / 2
+    dense = float(sliding[at]) / max(share, 1e-300)
+    if abs(off) > 0.25 * found.band and dense > (_APART if abs(off) > 0.5 * found.band else 1.3):
+        at_carrier = _cyclic(there - echoes.fc, echoes.fs) < 0.15 * found.band
+        words = f"{text}; {dense:.2g} times as much in a band as wide about {there:+.4g} Hz"
+        if at_carrier:
+            return Finding("band", "FAIL", words + ", which is fc: not demodulated: multiply by exp(-2j pi fc t) and low-pass")
+        state = "FAIL" if dense > _APART else "warn"
+        return Finding("band", state, words + ": demodulated with another fc, or fs, fc or bandwidth is not the data's")
+    return _wide(sample, found, inside, beyond, text)
+
+
+def _wide(sample: Sample, found: Density, inside: npt.NDArray[np.bool_], beyond: float, text: str) -> Finding:
+    """Energy beyond the declared band that is no white noise."""
+    fs = sample.echoes.fs
+    bins = max(1, found.width // _BINS)
+    smooth = np.convolve(np.r_[found.power[-bins:], found.power, found.power[:bins]], np.ones(bins) / bins, "same")[bins:-bins]
+    usual = float(np.median(smooth[inside]))
+    beside = ~inside
+    off = np.abs(_signed(found.frequency - found.middle, fs)) > 0.55 * found.band
+    beside &= off
+    outside = found.power[off].sum()
+    full = beside & (smooth > 0.5 * usual)
+    white = np.count_nonzero(full) > 0.9 * np.count_nonzero(beside)
+    occupied = (np.count_nonzero(full) + np.count_nonzero(inside)) / found.power.size * fs
+    if not white and occupied > 1.5 * found.band:
+        words = f"{text}, but {occupied:.3g} Hz are as full: fs or bandwidth is not the data's, or another signal is there"
+        return Finding("band", "warn", words)
+    tone = float(smooth[beside].max(initial=0.0)) / max(usual, 1e-300)
+    if tone > 10 and outside > 0.01:
+        where = float(found.frequency[beside][int(np.argmax(smooth[beside]))])
+        words = f"{text}; a line {10 * np.log10(tone):.2g} dB above the band lies at {where:+.4g} Hz: interference: filter it out"
+        return Finding("band", "warn", words)
+    if sample.echoes.compressed and outside > _BEYOND:
+        words = f"{text}, {100 * outside:.2g} % beyond: an image keeps its tol of what is declared, not in dark parts beside this"
+        return Finding("band", "warn", words + ": give the bandwidth that the data have, or filter them to it")
+    return Finding("band", "ok", text)
+
+
+def _signed(frequency: FloatArray, fs: float) -> FloatArray:
+    return np.asarray((frequency + fs / 2) % fs - fs / 2)
+
+
+def _cyclic(frequency: float, fs: float) -> float:
+    return abs((frequency + fs / 2) % fs - fs / 2)
+
+
+def sweep(sample: Sample) -> Finding:
+    """Echoes stand out after the filter for the pulse, not after that for its conjugate."""
+    if sample.transfer is None:
+        return Finding("sweep", "ok", "no pulse to compare with")
+    if sample.echoes.compressed and sample.band[0] != 0:
+        return Finding("sweep", "ok", "compressed")
+    right = kurtosis(sample.compressed)
+    wrong = kurtosis(_other_way(sample))
+    heard = (right > 0) & (wrong > 0)
+    if not heard.any():
+        return Finding("sweep", "ok", "nothing to hear")
+    text = f"kurtosis {np.median(right[heard]):.3g} with the pulse, {np.median(wrong[heard]):.3g} with its conjugate"
+    gain = np.log(wrong[heard] / right[heard])
+    # neighbours see the same echoes
+    error = float(np.std(gain)) / np.sqrt(max(gain.size / 8, 1.0))
+    mean = float(np.mean(gain))
+    if mean > 0.02 and mean > _SWEPT * error:
+        words = ": the conjugate fits better: I and Q swapped, data conjugated, or the sweep's sign wrong"
+        return Finding("sweep", "FAIL", text + words + ": conjugate the data, or change the sign of the pulse's bandwidth")
+    if mean > -0.02 or mean > -_SWEPT * error:
+        text += ": no echo stands out enough to tell the sweep's sign"
+    return Finding("sweep", "ok", text)
+
+
+def _other_way(sample: Sample) -> ComplexArray:
+    """The traces through the filter for the pulse of conjugate data (their mirror in time)."""
+    transfer = sample.transfer
+    if transfer is None:
+        return sample.traces
+    mirrored = np.roll(transfer[::-1], 1)  # P(-f)
+    if sample.echoes.compressed:
+        phase = transfer / np.maximum(np.abs(transfer), 1e-300)
+        return sample.back(sample.spectra * (phase * mirrored / np.maximum(np.abs(mirrored), 1e-300)).astype(sample.traces.dtype))
+    if isinstance(sample.echoes.pulse, LFM) and sample.band[0] != 0:
+        # a sweep about a frequency beside fc: down in place of up, where it is
+        pulse = sample.echoes.pulse
+        first = int(np.ceil(pulse.support[0] * sample.echoes.fs))
+        other = LFM(pulse.fc, -pulse.bandwidth, pulse.duration, pulse.window, pulse.window_parameter)
+        times = (first + np.arange(0 if sample.pulse is None else sample.pulse.size)) / sample.echoes.fs
+        padded = np.zeros(sample.size, dtype=complex)
+        padded[: times.size] = other.waveform(times, sample.echoes.fc)
+        spectrum = scipy.fft.fft(np.roll(padded, first))
+        return sample.back(sample.spectra * np.conj(spectrum / np.abs(spectrum).max()).astype(sample.traces.dtype))
+    return sample.back(sample.spectra * mirrored.astype(sample.traces.dtype))
+
+
+def kurtosis(traces: ComplexArray) -> FloatArray:
+    """Mean |x|^4 / (mean |x|^2)^2 of every trace: 2 for noise; 0 for silence."""
+    power = np.abs(traces).astype(np.float64) ** 2
+    mean = power.mean(axis=-1)
+    return np.divide(np.mean(power**2, axis=-1), mean**2, out=np.zeros_like(mean), where=mean > 0)
