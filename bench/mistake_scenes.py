@@ -114,7 +114,7 @@ def bed(scene, rng, middle, length):
     if scene.bed in ("points", "both"):
         edge = 0.2 * (high - low)
         places = rng.uniform(low + edge, high - edge, (6, 2))
-        parts.append((places, rng.uniform(0.7, 1.3, 6) * (12 if scene.bed == "both" else 1)))
+        parts.append((places, rng.uniform(0.7, 1.3, 6) * (30 if scene.bed == "both" else 1)))
     if scene.bed != "points":
         places = rng.uniform(low, high, (2500, 2))
         amplitudes = rng.standard_normal(2500) + 1j * rng.standard_normal(2500)

@@ -57,7 +57,9 @@ def analytic(echoes):
 def cropped(echoes, pings=32):
     """Few pings, of what is twelve times as long otherwise."""
     part = slice(0, min(pings, echoes.n_ping))
-    more = {name: getattr(echoes, name)[part] for name in ("tx", "rx", "velocity", "ping_time") if getattr(echoes, name) is not None}
+    more = {
+        name: getattr(echoes, name)[part] for name in ("tx", "rx", "velocity", "ping_time") if getattr(echoes, name) is not None
+    }
     if np.ndim(echoes.t0):
         more["t0"] = echoes.t0[part]
     return echoes.replace(data=echoes.data[part], **more)
@@ -80,7 +82,8 @@ def shuffled(echoes):
 
 
 def other_receivers(echoes):
-    order = np.roll(np.arange(echoes.n_channel).reshape(-1, 2)[:, ::-1].ravel(), 3)  # pairs swapped, and all moved on
+    """Two boards, one after the other, of receivers that take turns in the array."""
+    order = np.r_[np.arange(0, echoes.n_channel, 2), np.arange(1, echoes.n_channel, 2)]
     return with_data(echoes, echoes.data[:, order])
 
 
@@ -219,30 +222,34 @@ def array(case):
 
 
 def bent(case):
-    return array(case) or case.path == "sway"
+    return array(case) or (case.path == "sway" and points(case))
+
+
+def points(case):
+    return case.bed in ("points", "both")
 
 
 def simulated(case):
     return case.scene is not None
 
 
-RAW = "raw samples"
+RAW, PULSE = "raw samples", "where the pulse is given"
 MISTAKES = (
-    Mistake("pass-band samples cast to complex", cast, "base-band.*cast to complex", has_pulse, "where the pulse is given"),
+    Mistake("pass-band samples cast to complex", cast, "base-band.*cast to complex", has_pulse, PULSE),
     Mistake("analytic samples not demodulated", analytic, "band:.*not demodulated", raw, RAW),
     Mistake("the same, aliased by decimation", aliased, "band:.*not demodulated", raw, RAW),
-    Mistake("conjugate data", lambda e: with_data(e, e.data.conj()), "conjugate"),
-    Mistake("I and Q swapped", swapped, "I and Q swapped"),
-    Mistake("wrong sign of the sweep", down, "sweep's sign", has_pulse, "where the pulse is given"),
+    Mistake("conjugate data", lambda e: with_data(e, e.data.conj()), "conjugate", has_pulse, PULSE),
+    Mistake("I and Q swapped", swapped, "I and Q swapped", has_pulse, PULSE),
+    Mistake("wrong sign of the sweep", down, "sweep's sign", has_pulse, PULSE),
     Mistake("pings shuffled", shuffled, "pings are shuffled"),
-    Mistake("pings reversed", lambda e: with_data(e, e.data[::-1]), "pings are in reverse", bent, "arrays, bent tracks"),
-    Mistake("receivers reversed", lambda e: with_data(e, e.data[:, ::-1]), "receivers are in reverse", array, "arrays"),
+    Mistake("pings reversed", lambda e: with_data(e, e.data[::-1]), "in reverse order", bent, "arrays, bent tracks"),
+    Mistake("receivers reversed", lambda e: with_data(e, e.data[:, ::-1]), "in reverse order", array, "arrays"),
     Mistake("receivers shuffled", other_receivers, "receivers are shuffled", array, "arrays"),
-    Mistake("pings and channels transposed", pings_as_channels, "transposed", array, "arrays"),
+    Mistake("pings and channels transposed", pings_as_channels, "transposed", lambda c: c.echoes.n_channel == 16, "16 receivers"),
     Mistake("pings and samples transposed", pings_as_samples, "transposed", after=True),
     Mistake("degrees taken for metres", degrees, "degrees of latitude"),
     Mistake("UTM as float32", single, "positions are multiples of"),
-    Mistake("lever arm forgotten", lever, "lever arm"),
+    Mistake("lever arm forgotten", lever, "lever arm", points, "echoes to follow"),
     Mistake("dead channel", channel(lambda e: 0), "dead channels", array, "arrays"),
     Mistake("stuck channel", channel(lambda e: 0.37), "stuck channels", lambda c: array(c) and raw(c), "arrays, raw"),
     Mistake("noisy channel, +20 dB", channel(lambda e: noise(e, 20)), "channels:.*dB from the others", array, "arrays"),
@@ -252,11 +259,19 @@ MISTAKES = (
     Mistake("gain steps of 12 dB", stepped, "gain:.*step of"),
     Mistake("blanked gaps", blanked, "gaps of zeros", after=True),
     Mistake("a constant in I and Q", offset, "offset:"),
-    Mistake("phase centres that overlap", {"advance": 0.85}, "phase centres:.*ghosts", lambda c: array(c) and simulated(c), "arrays"),
-    Mistake("start of record 37 samples late", late, "t0"),
+    Mistake(
+        "phase centres that overlap", {"advance": 0.85}, "phase centres:.*ghosts", lambda c: array(c) and simulated(c), "arrays"
+    ),
+    Mistake("start of record 37 samples late", late, "t0", points, "echoes to follow"),
     Mistake("energy beyond the declared band", lambda e: e.replace(bandwidth=e.bandwidth / 2, pulse=None), "band:", after=True),
     Mistake("interference beside the band", tone, "band:.*interference", raw, RAW),
-    Mistake("motion during a long pulse", {"duration": 10e-3, "speed": 6.0}, "Doppler:", simulated),
+    Mistake(
+        "motion during a long pulse",
+        {"duration": 10e-3, "speed": 6.0},
+        "Doppler:",
+        lambda c: simulated(c) and c.path == "line",
+        "straight tracks",
+    ),
 )
 
 

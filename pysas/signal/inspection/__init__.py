@@ -72,8 +72,11 @@ def _heard(echoes: Echoes, levels: Levels, lost: bool) -> list[Finding]:
         traces.offset(echoes, levels),
         traces.gain(echoes, levels),
         traces.gaps(sample),
-        band.carrier(sample, levels),
+        traces.transposed(sample),
     ]
+    if found[-1].state == "FAIL":
+        return found
+    found.append(band.carrier(sample, levels))
     if found[-1].state == "ok":
         found.append(band.declared(sample))
     if found[-1].state == "FAIL" or geometry.pulse(echoes).state == "FAIL":
@@ -82,7 +85,8 @@ def _heard(echoes: Echoes, levels: Levels, lost: bool) -> list[Finding]:
     if found[-1].state == "FAIL":
         return found
     coherence = order.coherences(sample)
-    found.append(traces.channels(levels, order.within_pings(coherence, sample), sample))
+    chance = order.background(coherence, sample)
+    found.append(traces.channels(levels, order.within_pings(coherence, sample), chance, sample))
     if lost:
         return found
     found.append(order.order(sample, coherence))

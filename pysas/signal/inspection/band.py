@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
+import scipy.ndimage
 
 from pysas._checks import ComplexArray, FloatArray
 from pysas.model.pulse import LFM
@@ -16,7 +17,9 @@ from pysas.signal.inspection.sample import Sample
 
 _REAL = 0.9  # of sum x^2 / sum |x|^2, which is 1 where samples are real
 _BINS = 32  # of a band, where densities are compared
-_APART = 4.0  # a band elsewhere is so many times as dense as the declared one
+_APART = 1.08  # a band elsewhere holds so many times the energy of the declared one
+_ELSEWHERE = 3.0  # so much that nothing is right
+_LINE = 4.0  # times the median beside it
 _BEYOND = 0.05  # share of energy that compressed data may have beyond their band
 _SWEPT = 5.0  # standard errors
 
@@ -70,7 +73,8 @@ def density(sample: Sample) -> Density:
     power = np.mean(np.divide(spectra, total, out=np.zeros_like(spectra), where=total > 0), axis=(0, 1), dtype=np.float64)
     middle, band = sample.band
     width = max(1, round(band / sample.echoes.fs * power.size))
-    return Density(scipy.fft.fftfreq(power.size, 1 / sample.echoes.fs), power, width, middle, band)
+    frequency = np.asarray(scipy.fft.fftfreq(power.size, 1 / sample.echoes.fs), dtype=np.float64)
+    return Density(frequency, power, width, middle, band)
 
 
 def declared(sample: Sample) -> Finding:
@@ -78,37 +82,37 @@ def declared(sample: Sample) -> Finding:
     echoes, found = sample.echoes, density(sample)
     inside = found.inside()
     share = float(found.power[inside].sum())
-    beyond = 1 - share
     text = f"{100 * share:.3g} % of the energy within {found.middle:+.4g} +- {found.band / 2:.4g} Hz of fc"
     if found.width >= 0.9 * found.power.size or not found.power.any():
         return Finding("band", "ok", text)
+    # without lines: they are no band
+    beside = max(3, found.width // 4) | 1
+    usual = scipy.ndimage.median_filter(found.power, size=beside, mode="wrap")
+    even = np.minimum(found.power, _LINE * usual)
     # sliding over the circle of frequencies
-    total = np.cumsum(np.r_[found.power, found.power[: found.width]])
+    total = np.cumsum(np.r_[0.0, even, even[: found.width]])
     sliding = total[found.width :] - total[: -found.width]
     at = int(np.argmax(sliding))
-    there = float(found.frequency[(at + 1 + found.width // 2) % found.power.size])
-    off = (there - found.middle + echoes.fs / 2) % echoes.fs - echoes.fs / 2
-    dense = float(sliding[at]) / max(share, 1e-300)
-    if abs(off) > 0.25 * found.band and dense > (_APART if abs(off) > 0.5 * found.band else 1.3):
-        at_carrier = _cyclic(there - echoes.fc, echoes.fs) < 0.15 * found.band
+    there = float(found.frequency[(at + found.width // 2) % found.power.size])
+    off = _cyclic(there - found.middle, echoes.fs)
+    dense = float(sliding[at]) / max(float(even[inside].sum()), 1e-300)
+    if off > 0.25 * found.band and dense > _APART:
         words = f"{text}; {dense:.2g} times as much in a band as wide about {there:+.4g} Hz"
-        if at_carrier:
+        if _cyclic(there - echoes.fc, echoes.fs) < 0.2 * found.band:
             return Finding("band", "FAIL", words + ", which is fc: not demodulated: multiply by exp(-2j pi fc t) and low-pass")
-        state = "FAIL" if dense > _APART else "warn"
+        state = "FAIL" if dense > _ELSEWHERE else "warn"
         return Finding("band", state, words + ": demodulated with another fc, or fs, fc or bandwidth is not the data's")
-    return _wide(sample, found, inside, beyond, text)
+    return _wide(sample, found, inside, text)
 
 
-def _wide(sample: Sample, found: Density, inside: npt.NDArray[np.bool_], beyond: float, text: str) -> Finding:
+def _wide(sample: Sample, found: Density, inside: npt.NDArray[np.bool_], text: str) -> Finding:
     """Energy beyond the declared band that is no white noise."""
     fs = sample.echoes.fs
     bins = max(1, found.width // _BINS)
     smooth = np.convolve(np.r_[found.power[-bins:], found.power, found.power[:bins]], np.ones(bins) / bins, "same")[bins:-bins]
     usual = float(np.median(smooth[inside]))
-    beside = ~inside
-    off = np.abs(_signed(found.frequency - found.middle, fs)) > 0.55 * found.band
-    beside &= off
-    outside = found.power[off].sum()
+    beside = np.abs((found.frequency - found.middle + fs / 2) % fs - fs / 2) > 0.55 * found.band
+    outside = float(found.power[beside].sum())
     full = beside & (smooth > 0.5 * usual)
     white = np.count_nonzero(full) > 0.9 * np.count_nonzero(beside)
     occupied = (np.count_nonzero(full) + np.count_nonzero(inside)) / found.power.size * fs
@@ -118,16 +122,12 @@ def _wide(sample: Sample, found: Density, inside: npt.NDArray[np.bool_], beyond:
     tone = float(smooth[beside].max(initial=0.0)) / max(usual, 1e-300)
     if tone > 10 and outside > 0.01:
         where = float(found.frequency[beside][int(np.argmax(smooth[beside]))])
-        words = f"{text}; a line {10 * np.log10(tone):.2g} dB above the band lies at {where:+.4g} Hz: interference: filter it out"
-        return Finding("band", "warn", words)
+        words = f"{text}; a line {10 * np.log10(tone):.2g} dB above the band lies at {where:+.4g} Hz"
+        return Finding("band", "warn", f"{words}: interference: filter it out")
     if sample.echoes.compressed and outside > _BEYOND:
-        words = f"{text}, {100 * outside:.2g} % beyond: an image keeps its tol of what is declared, not in dark parts beside this"
+        words = f"{text}, {100 * outside:.2g} % beyond: an image keeps its tol of what is declared, not in dark parts"
         return Finding("band", "warn", words + ": give the bandwidth that the data have, or filter them to it")
     return Finding("band", "ok", text)
-
-
-def _signed(frequency: FloatArray, fs: float) -> FloatArray:
-    return np.asarray((frequency + fs / 2) % fs - fs / 2)
 
 
 def _cyclic(frequency: float, fs: float) -> float:
@@ -165,8 +165,9 @@ def _other_way(sample: Sample) -> ComplexArray:
         return sample.traces
     mirrored = np.roll(transfer[::-1], 1)  # P(-f)
     if sample.echoes.compressed:
-        phase = transfer / np.maximum(np.abs(transfer), 1e-300)
-        return sample.back(sample.spectra * (phase * mirrored / np.maximum(np.abs(mirrored), 1e-300)).astype(sample.traces.dtype))
+        both = transfer * mirrored
+        both = both / np.maximum(np.abs(both), 1e-300)
+        return sample.back(sample.spectra * both.astype(sample.traces.dtype))
     if isinstance(sample.echoes.pulse, LFM) and sample.band[0] != 0:
         # a sweep about a frequency beside fc: down in place of up, where it is
         pulse = sample.echoes.pulse

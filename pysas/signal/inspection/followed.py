@@ -12,7 +12,7 @@ import numpy as np
 from pysas._checks import FloatArray
 from pysas.signal.inspection.finding import Finding
 from pysas.signal.inspection.sample import Complex, Index, Sample
-from pysas.signal.inspection.wavefront import Echo, fit
+from pysas.signal.inspection.wavefront import Echo, fit, lateness, part
 
 _ECHOES = 5
 _LEAST = 20  # pings
@@ -20,7 +20,9 @@ _FAINT = 0.1  # of the loudest: its side lobes
 _BESIDE = 12  # cells about an echo that are not looked at again
 _PROMINENT = 5.0  # times the median beside it
 _RIGHT, _WRONG = 0.8, 0.65  # coherences; by chance 20 pings reach about 0.55
+_JUMP = 0.5  # cells of range between steps of two pings that follow each other
 _ROUGH = 0.9  # rad, of second differences
+_SURE = 6.0  # standard errors
 
 
 def followed(sample: Sample) -> list[Echo]:
@@ -61,7 +63,9 @@ def followed(sample: Sample) -> list[Echo]:
             left[p, max(0, n - _BESIDE * cell) : n + _BESIDE * cell + 1] = 0
         rows = np.array(sorted(p for p, n in track.items() if _alone(size[p], n, cell)), dtype=np.intp)
         if rows.size >= _LEAST:
-            found.append(_read(sample, rows, np.array([track[p] for p in rows]), cell))
+            echo = _smooth(_read(sample, rows, np.array([track[p] for p in rows])))
+            if len(echo.delay) >= _LEAST:
+                found.append(echo)
     return found
 
 
@@ -78,7 +82,17 @@ def _alone(trace: FloatArray, at: int, cell: int) -> bool:
     return bool(beside.max(initial=0.0) < 0.33 * trace[at])
 
 
-def _read(sample: Sample, rows: Index, at: Index, cell: int) -> Echo:
+def _smooth(echo: Echo) -> Echo:
+    """The longest part in which delays do not jump, as they do where one echo is left for another."""
+    delay = echo.delay[:, echo.delay.shape[1] // 2] * echo.bandwidth
+    rate = np.diff(delay) / np.diff(echo.ping)
+    jumps = (np.abs(np.diff(rate, prepend=rate[:1])) > _JUMP) | (np.diff(echo.ping) > 4)
+    ends = np.r_[0, np.flatnonzero(jumps) + 1, len(delay)]
+    longest = int(np.argmax(np.diff(ends)))
+    return part(echo, slice(int(ends[longest]), int(ends[longest + 1])))
+
+
+def _read(sample: Sample, rows: Index, at: Index) -> Echo:
     """Delay and phase of an echo in all channels, about where the middle one has it."""
     echoes, compressed = sample.echoes, sample.compressed
     c, n = float(np.mean(echoes.c)), compressed.shape[-1]
@@ -103,22 +117,34 @@ def _read(sample: Sample, rows: Index, at: Index, cell: int) -> Echo:
     moving = echoes.receiver_velocity
     if moving is not None:
         rx = rx + moving[np.ix_(sample.pings[rows], sample.channels)] * delay[..., None]
-    return Echo(delay, phase, sample.tx[rows], rx, c, echoes.fc, echoes.occupied_bandwidth)
+    return Echo(delay, phase, sample.tx[rows], rx, sample.pings[rows], c, echoes.fc, echoes.occupied_bandwidth)
 
 
 def explained(sample: Sample) -> Finding:
     """Whether a place explains the echoes' delays and phases, with the positions given."""
-    echoes = followed(sample)
-    if not echoes:
+    echoes = [echo for echo in followed(sample) if not _rough(echo)]
+    fits = [fit(echo) for echo in echoes]
+    if not fits:
         return Finding("positions", "ok", "no echo stands out over 20 pings: nothing says whether positions fit the phases")
-    agreed = [fit(echo).coherence for echo in echoes]
+    agreed = [found.coherence for found in fits]
     right, wrong = sum(v >= _RIGHT for v in agreed), sum(v < _WRONG for v in agreed)
-    if wrong <= 2 * right:
-        return Finding("positions", "ok", f"{right} of {len(echoes)} echoes followed fit a place (coherence {max(agreed):.2f})")
-    return _guilty(echoes, max(agreed))
+    if wrong > 2 * right:
+        return _guilty(sample, echoes, max(agreed))
+    times = [lateness(found) for found in fits if found.coherence >= _RIGHT]
+    sure = [late for late, error in times if abs(late) > _SURE * error and abs(late) > 2 / sample.echoes.occupied_bandwidth]
+    text = f"{right} of {len(fits)} echoes followed fit a place (coherence {max(agreed):.2f})"
+    if sure and len(sure) >= 0.6 * len(times) and np.ptp(sure) < 0.5 * abs(np.median(sure)):
+        return Finding("positions", "warn", f"{text}, but {_delayed(float(np.median(sure)), fits[0].echo.c)}")
+    return Finding("positions", "ok", text)
 
 
-def _guilty(echoes: list[Echo], agreed: float) -> Finding:
+def _delayed(seconds: float, c: float) -> str:
+    side = "late" if seconds > 0 else "early"
+    text = f"come {abs(seconds):.3g} s ({abs(seconds) * c / 2:.3g} m) {side} for the curvature of their wavefronts"
+    return f"{text}: a group delay is missing in t0, or c is wrong"
+
+
+def _guilty(sample: Sample, echoes: list[Echo], agreed: float) -> Finding:
     """The mistake without which the echoes would fit."""
     longest = max(len(e.delay) for e in echoes)
     text = f"{len(echoes)} echoes followed over up to {longest} pings fit no place (coherence {agreed:.2f}"
@@ -126,7 +152,7 @@ def _guilty(echoes: list[Echo], agreed: float) -> Finding:
     if echoes[0].rx.shape[1] > 1:
         turned = [replace(e, rx=e.rx[:, ::-1]) for e in echoes]
         cases["receivers are in reverse order: reorder channels or rx"] = turned
-    turned = [replace(e, delay=e.delay[::-1], phase=e.phase[::-1]) for e in echoes]
+    turned = [_other_way(sample, e) for e in echoes]
     cases["pings are in reverse order: reorder the samples or the positions"] = turned
     best, words = _RIGHT, ""
     for name, changed in cases.items():
@@ -138,16 +164,20 @@ def _guilty(echoes: list[Echo], agreed: float) -> Finding:
     if _alone_right(echoes):
         words = "though each channel's do: receivers are shuffled, or their places are wrong: check rx"
         return Finding("positions", "FAIL", f"{text}) {words}")
-    if _rough(echoes):
-        return Finding("positions", "FAIL", f"{text}) and jump from ping to ping: pings are shuffled, or positions too coarse")
     delayed = [fit(e, late=True) for e in echoes]
-    if float(np.median([found.coherence for found in delayed])) > _RIGHT:
-        seconds = float(np.median([found.late for found in delayed]))
-        metres = seconds * echoes[0].c / 2
-        words = f"unless they come {seconds:.3g} s ({metres:.3g} m) late: a group delay is missing in t0, or c is wrong"
-        return Finding("positions", "warn", f"{text}) {words}")
+    near = all(abs(found.late) < 0.1 * float(found.echo.delay.mean()) for found in delayed)
+    if near and float(np.median([found.coherence for found in delayed])) > _RIGHT:
+        words = _delayed(float(np.median([found.late for found in delayed])), echoes[0].c)
+        return Finding("positions", "warn", f"{text}) unless they {words}")
     words = "positions do not follow the motion: lever arm or attitude forgotten, clock offset, navigation drift, or c"
     return Finding("positions", "warn", f"{text}): {words}")
+
+
+def _other_way(sample: Sample, echo: Echo) -> Echo:
+    """With the positions of the pings in reverse order."""
+    last = sample.echoes.n_ping - 1
+    tx = sample.echoes.tx[last - echo.ping]
+    return replace(echo, tx=tx, rx=sample.echoes.receivers[np.ix_(last - echo.ping, sample.channels)])
 
 
 def _alone_right(echoes: list[Echo]) -> bool:
@@ -163,7 +193,9 @@ def _alone_right(echoes: list[Echo]) -> bool:
     return float(np.median(found)) >= _RIGHT
 
 
-def _rough(echoes: list[Echo]) -> bool:
-    """Phases that turn unlike from ping to ping."""
-    bends = [np.angle(np.exp(1j * np.diff(e.phase[:, e.phase.shape[1] // 2], 2))) for e in echoes]
-    return float(np.median([np.sqrt(np.mean(b**2)) for b in bends])) > _ROUGH
+def _rough(echo: Echo) -> bool:
+    """Phases of one receiver that turn unlike from ping to ping: several scatterers, noise, or shuffled pings (see `order`)."""
+    if echo.rx.shape[1] > 1:
+        return False  # from one ping to the next an array goes far
+    bends = np.diff(echo.phase[:, echo.phase.shape[1] // 2], 2)
+    return float(np.sqrt(np.mean(np.angle(np.exp(1j * bends)) ** 2))) > _ROUGH

@@ -13,10 +13,13 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.signal.inspection.finding import Finding
 from pysas.signal.inspection.sample import Sample
 
-_NEAREST = 6  # phase centres about each that its partner may be
-_MIXED = 0.2  # share of traces with a partner elsewhere
-_BETTER = 1.25  # times the coherence that the order given has
+_NEAREST = 2  # pings or receivers on whose side a partner must stand
+_STANDS_OUT = 3.8  # robust standard deviations; the best of a hundred by chance: 2.8, of a tenth of them more than this
+_SURE = 5.0  # standard errors
+_MISPLACED = 0.1  # share of pings with a partner elsewhere
 _PAIRS = 12
+
+Bool = npt.NDArray[np.bool_]
 
 
 def coherences(sample: Sample) -> FloatArray:
@@ -44,50 +47,112 @@ def within_pings(coherence: FloatArray, sample: Sample) -> FloatArray:
     return np.asarray(own[np.arange(ping), :, np.arange(ping)].mean(axis=0))
 
 
-def chance(sample: Sample) -> float:
-    """What the coherence of two unlike traces hardly exceeds, from how many samples of theirs are independent."""
-    power = np.mean(np.abs(sample.compressed) ** 2, axis=(0, 1))
-    many = float(power.sum() ** 2 / np.sum(power**2)) if power.any() else 1.0
-    many *= min(1.0, sample.echoes.occupied_bandwidth / sample.echoes.fs)
-    return float(min(1.0, 3.5 / np.sqrt(max(many, 1.0))))
+def background(coherence: FloatArray, sample: Sample) -> tuple[float, float]:
+    """What traces of far pings have in common by chance: median and robust standard deviation."""
+    count = sample.traces.shape[1]
+    ping = np.arange(len(coherence)) // count
+    heard = coherence.diagonal() > 0
+    far = (np.abs(ping[:, None] - ping) > max(2, ping[-1] // 8)) & heard[:, None] & heard
+    values = coherence[far] if far.any() else coherence[heard][:, heard]
+    if values.size == 0:
+        return 0.0, 1.0
+    middle = float(np.median(values))
+    return middle, 1.48 * float(np.median(np.abs(values - middle))) + 1e-6
 
 
 def order(sample: Sample, coherence: FloatArray) -> Finding:
     """Partners elsewhere than the positions say; or a reversed order of pings or receivers that fits better."""
+    if len(sample.pings) < 8:
+        return Finding("order", "ok", "too few pings to tell")
+    usual, spread = background(coherence, sample)
+    for test in (_receivers, _transposed, _reversed, _pings):
+        found = test(sample, coherence, usual, spread)
+        if found is not None:
+            return found
+    return Finding("order", "ok", f"no traces more alike than neighbours (coherence by chance {usual:.2g})")
+
+
+def _receivers(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> Finding | None:
+    """Channels whose best partner within pings is not beside them."""
     pings, count = sample.traces.shape[:2]
-    least = chance(sample)
-    best = np.where(np.eye(len(coherence), dtype=bool), 0, coherence).max(axis=1)
-    heard = best > 1.5 * least
-    if pings < 4 or np.count_nonzero(heard) < max(_PAIRS, 0.3 * heard.size):
-        return Finding("order", "ok", "echoes of neighbours are too unlike to tell")
+    if count < 4:
+        return None
+    inside = np.where(np.eye(count, dtype=bool), 0, within_pings(coherence, sample))
+    distance = np.linalg.norm(sample.rx.mean(axis=0)[:, None] - sample.rx.mean(axis=0), axis=-1)
+    best, beside = inside.max(axis=1), np.where(_near(distance), inside, 0).max(axis=1)
+    partner = best - usual > _SURE * spread / np.sqrt(pings / 2)
+    apart = partner & (beside - usual < 0.5 * (best - usual))
+    if np.count_nonzero(apart) < max(3, 0.4 * count):
+        return None
+    first = int(np.argmax(apart))
+    text = f"{np.count_nonzero(apart)} of {count} receivers are most like others than those beside them"
+    text += f", first channel {sample.channels[first]} like channel {sample.channels[int(np.argmax(inside[first]))]}"
+    return Finding("order", "FAIL", f"{text}: receivers are shuffled against rx: reorder channels or rx")
+
+
+def _transposed(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> Finding | None:
+    """As many channels as pings, and each is the other."""
+    pings, count = sample.traces.shape[:2]
+    if pings != count or sample.echoes.n_ping != sample.echoes.n_channel:
+        return None
+    other = coherence.reshape(pings, count, pings, count).transpose(1, 0, 3, 2).reshape(coherence.shape)
+    given = _score(sample, coherence, sample.tx, sample.rx, within=True)
+    turned = _score(sample, other, sample.tx, sample.rx, within=True)
+    if given is None or turned is None or not _clearly(given, turned, usual, spread):
+        return None
+    text = (
+        f"coherence of echoes whose phase centres are near is {given[0]:.2g} as given, {turned[0]:.2g} with pings for channels"
+    )
+    return Finding("order", "FAIL", f"{text}: the first two axes are transposed: swap them")
+
+
+def _reversed(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> Finding | None:
+    """Phase centres of pings meet at other receivers. Reversed pings and reversed receivers are each other's mirror."""
+    if sample.traces.shape[1] < 2:
+        return None
     given = _score(sample, coherence, sample.tx, sample.rx)
-    others = {
-        "receivers are in reverse order": (sample.tx, sample.rx[:, ::-1]),
-        "pings are in reverse order": (sample.tx[::-1], sample.rx[::-1]),
-    }
-    if count == sample.echoes.n_ping:
-        others["pings and channels are transposed"] = (sample.tx, sample.rx)
-    if count > 1 and given is not None:
-        for words, (tx, rx) in others.items():
-            matrix = coherence
-            if "transposed" in words:
-                matrix = coherence.reshape(pings, count, pings, count).transpose(1, 0, 3, 2).reshape(coherence.shape)
-            score = _score(sample, matrix, tx, rx)
-            if score is not None and score > _BETTER * given + least / 2:
-                text = f"coherence of echoes whose phase centres meet is {given:.2g} as given, {score:.2g} where {words}"
-                return Finding("order", "FAIL", f"{text}: reorder the samples or the positions")
-    centres = _centres(sample.tx, sample.rx)
-    near = _near(centres)
-    by_place = np.where(near, coherence, 0).max(axis=1)
-    elsewhere = heard & (best > 1.3 * by_place + least)
-    share = np.count_nonzero(elsewhere) / np.count_nonzero(heard)
-    if share > _MIXED:
-        what = _which(sample, coherence, near, elsewhere)
-        first = int(np.argmax(elsewhere))
-        text = f"{100 * share:.2g} % of the traces are most like others than their neighbours, first ping "
-        text += f"{sample.pings[first // count]}, channel {sample.channels[first % count]}"
-        return Finding("order", "FAIL", f"{text}: {what} are shuffled against their positions: sort both alike")
-    return Finding("order", "ok", f"neighbours are the most alike ({np.median(by_place[heard]):.2g})")
+    turned = _score(sample, coherence, sample.tx, sample.rx[:, ::-1])
+    if turned is None or given is None or not _clearly(given, turned, usual, spread):
+        return None
+    text = f"coherence of pings where their phase centres meet is {given[0]:.2g} as given, {turned[0]:.2g} the other way round"
+    return Finding("order", "FAIL", f"{text}: receivers or pings are in reverse order: reorder channels or rx, or the pings")
+
+
+def _clearly(given: tuple[float, int], turned: tuple[float, int], usual: float, spread: float) -> bool:
+    error = spread / np.sqrt(min(given[1], turned[1]) / 2)  # each pair counts twice
+    return bool(turned[0] - usual > 2 * max(given[0] - usual, 0.0) + _SURE * error)
+
+
+def _pings(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> Finding | None:
+    """Pings whose best partner is not beside them."""
+    alike = _affinity(sample, coherence, usual, spread)
+    np.fill_diagonal(alike, np.nan)
+    row = np.nanmedian(alike, axis=1)
+    scatter = 1.48 * np.nanmedian(np.abs(alike - row[:, None]), axis=1) + 1e-6
+    distance = np.linalg.norm(sample.tx[:, None] - sample.tx, axis=-1)
+    best = np.nanmax(alike, axis=1)
+    beside = np.nanmax(np.where(_near(distance), alike, -1), axis=1)
+    partner = best - row > _STANDS_OUT * scatter
+    apart = partner & (beside - row < 0.4 * (best - row))
+    if np.count_nonzero(partner) < 0.4 * len(partner) or np.count_nonzero(apart) < max(4, _MISPLACED * len(partner)):
+        return None
+    first = int(np.argmax(apart))
+    there = int(np.nanargmax(alike[first]))
+    text = f"{np.count_nonzero(apart)} of {len(apart)} pings are most like others than their neighbours, first ping "
+    text += f"{sample.pings[first]} like ping {sample.pings[there]}"
+    return Finding("order", "FAIL", f"{text}: pings are shuffled against their positions: sort both alike")
+
+
+def _affinity(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> FloatArray:
+    """(ping, ping) how much pings are alike at that offset of their channels which is best, in standard deviations of chance."""
+    pings, count = sample.traces.shape[:2]
+    by = coherence.reshape(pings, count, pings, count)
+    best = np.full((pings, pings), -np.inf)
+    for offset in range(1 - count, count):
+        pairs = count - abs(offset)
+        mean = np.trace(by, offset, axis1=1, axis2=3) / pairs
+        best = np.maximum(best, (mean - usual) * np.sqrt(pairs) / spread)
+    return best
 
 
 def _centres(tx: FloatArray, rx: FloatArray) -> FloatArray:
@@ -100,32 +165,24 @@ def _distances(centres: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square - 2 * inner @ inner.T, 0)))
 
 
-def _near(centres: FloatArray) -> npt.NDArray[np.bool_]:
-    """Pairs of which one is among the nearest of the other, or as near as those."""
-    distance = _distances(centres)
-    np.fill_diagonal(distance, np.inf)
-    reach = np.sort(distance, axis=1)[:, min(_NEAREST, len(distance) - 1) - 1]
-    return np.asarray(distance <= np.maximum(reach[:, None], reach) * (1 + 1e-9))
+def _near(distance: FloatArray) -> Bool:
+    """Pairs of which one is among the two nearest of the other, or as near as those."""
+    apart = np.where(np.eye(len(distance), dtype=bool), np.inf, distance)
+    reach = np.sort(apart, axis=1)[:, min(_NEAREST, len(apart) - 1) - 1]
+    return np.asarray(apart <= np.maximum(reach[:, None], reach) * (1 + 1e-9))
 
 
-def _score(sample: Sample, coherence: FloatArray, tx: FloatArray, rx: FloatArray) -> float | None:
-    """Mean coherence of traces of different pings whose phase centres meet, or nearly; None for fewer than twelve."""
+def _score(
+    sample: Sample, coherence: FloatArray, tx: FloatArray, rx: FloatArray, within: bool = False
+) -> tuple[float, int] | None:
+    """Mean coherence of traces whose phase centres meet, or nearly, and of how many pairs; None for fewer than twelve.
+
+    Of different pings, unless `within` counts those of one too.
+    """
     channel = rx.shape[1]
     distance = _distances(_centres(tx, rx))
     ping = np.arange(len(distance)) // channel
-    distance[ping[:, None] == ping] = np.inf
-    nearest = distance.min(axis=1)
-    reach = 1.2 * float(np.quantile(nearest, 0.1)) + float(np.mean(sample.echoes.c)) / sample.echoes.fc / 16
+    distance[np.eye(len(distance), dtype=bool) if within else ping[:, None] == ping] = np.inf
+    reach = 1.2 * float(np.quantile(distance.min(axis=1), 0.1)) + float(np.mean(sample.echoes.c)) / sample.echoes.fc / 16
     pairs = distance <= reach
-    return float(coherence[pairs].mean()) if np.count_nonzero(pairs) >= _PAIRS else None
-
-
-def _which(sample: Sample, coherence: FloatArray, near: npt.NDArray[np.bool_], elsewhere: npt.NDArray[np.bool_]) -> str:
-    """Pings, or receivers: whose partners are of the same ping."""
-    pings, count = sample.traces.shape[:2]
-    if count < 3:
-        return "pings"
-    same = np.arange(pings * count) // count
-    inside = np.where((same[:, None] == same) & ~np.eye(same.size, dtype=bool), coherence, 0)
-    moved = inside.max(axis=1) > 1.3 * np.where(near, inside, 0).max(axis=1) + 0.05
-    return "receivers" if np.count_nonzero(moved & elsewhere) > 0.5 * np.count_nonzero(elsewhere) else "pings"
+    return (float(coherence[pairs].mean()), int(np.count_nonzero(pairs))) if np.count_nonzero(pairs) >= _PAIRS else None

@@ -1,4 +1,4 @@
-"""Positions that cannot be a survey's in metres, phase centres that fall in clumps, and pulses that last while the sonar moves."""
+"""Positions that cannot be metres, phase centres that fall in clumps, and pulses that last while the sonar moves."""
 
 from __future__ import annotations
 
@@ -69,10 +69,11 @@ def evenness(echoes: Echoes) -> Finding:
     offset = np.median(np.einsum("pcx,px->pc", centres - mean[:, None], unit)[good], axis=0)
     advance = float(np.median(pace[good]))
     # orders that an even array of as many centres would not have
-    level, order = _ghost(offset, advance)
+    wavelength = float(np.mean(echoes.c)) / echoes.fc
+    element = 2 * advance / offset.size if echoes.beam is None else echoes.beam.length
+    level, order = _ghost(offset, advance, element)
     length = float(np.ptp(offset))
     if level > _GHOST:
-        wavelength = float(np.mean(echoes.c)) / echoes.fc
         degrees = np.degrees(np.arcsin(min(1.0, order * wavelength / (2 * advance))))
         text = f"the array's {length:.3g} m of phase centres overlap or miss those of the next ping {advance:.3g} m on"
         text += f": ghosts of {level:.0f} dB at {degrees:.2g} deg"
@@ -80,10 +81,15 @@ def evenness(echoes: Echoes) -> Finding:
     return Finding("phase centres", "ok", f"{echoes.n_channel} a ping, evenly spread")
 
 
-def _ghost(offset: FloatArray, advance: float) -> tuple[float, int]:
-    """Level (dB) and order of the strongest line among those that as many even phase centres would cancel."""
+def _ghost(offset: FloatArray, advance: float, element: float) -> tuple[float, int]:
+    """Level (dB) and order of the strongest line among those that as many even phase centres would cancel.
+
+    A line of order m images a point m wavelength/(2 advance) aside in the sine, where an element lights it by sinc^2 both ways;
+    its length is twice the spacing of even phase centres unless a beam is given.
+    """
     orders = np.arange(1, offset.size)
     lines = np.abs(np.mean(np.exp(2j * np.pi * orders[:, None] * offset / advance), axis=1))
+    lines *= np.sinc(orders * element / (2 * advance)) ** 2
     best = int(np.argmax(lines))
     return float(20 * np.log10(max(lines[best], 1e-15))), int(orders[best])
 
@@ -103,10 +109,10 @@ def doppler(echoes: Echoes) -> Finding:
     c = float(np.mean(echoes.c))
     aside = _aside(echoes)
     cells = 2 * speed * seconds * np.sin(aside) * echoes.fc / c
-    text = f"{speed:.3g} m/s for a pulse of {seconds:.3g} s is {1e3 * speed * seconds:.2g} mm: echoes {np.degrees(aside):.2g} deg off"
-    text += f" broadside shift by {cells:.2g} cells of range"
+    text = f"{speed:.3g} m/s for a pulse of {seconds:.3g} s is {1e3 * speed * seconds:.2g} mm"
+    text += f": echoes {np.degrees(aside):.2g} deg off broadside shift by {cells:.2g} cells of range"
     if cells > _SHIFT:
-        return Finding("Doppler", "warn", f"{text}: shorten the pulse, or compress with replicas of the Doppler shift of each angle")
+        return Finding("Doppler", "warn", f"{text}: shorten the pulse, or compress with replicas shifted as each angle is")
     return Finding("Doppler", "ok", text)
 
 
@@ -123,9 +129,9 @@ def _speed(echoes: Echoes) -> float | None:
 
 
 def _aside(echoes: Echoes) -> float:
-    """Largest angle off broadside that counts: the beam's, or that at which pings see the middle of the swath, rad.
+    """Angle off broadside within which echoes come, either side of their middle: the beam's, or those of one place; rad.
 
-    The middle lies broadside of the middle ping, on that side of a bent track which sees it the straighter.
+    The place is the middle of the swath, broadside of the middle ping, on the side of a bent track which sees it straighter.
     """
     middle = echoes.n_ping // 2
     along = np.gradient(echoes.tx, axis=0)[:, :2]
@@ -134,6 +140,6 @@ def _aside(echoes: Echoes) -> float:
     angles = []
     for side in (-1, 1):
         look = echoes.tx[middle, :2] + side * np.mean(echoes.swath) * aside - echoes.tx[:, :2]
-        away = np.abs(np.sum(look * along, axis=1)) / np.maximum(np.linalg.norm(look, axis=1), 1e-300)
-        angles.append(float(np.arcsin(np.minimum(away, 1.0)).max()))
+        away = np.sum(look * along, axis=1) / np.maximum(np.linalg.norm(look, axis=1), 1e-300)
+        angles.append(float(np.arcsin(min(np.ptp(away) / 2, 1.0))))
     return min(angles) if echoes.beam is None else min(*angles, echoes.beam.half_angle)

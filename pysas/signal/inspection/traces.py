@@ -17,6 +17,7 @@ _OFFSET = 0.05  # share of a channel's energy in its mean
 _LOUD = 10.0  # dB between channels
 _STEP = 6.0  # dB from ping to ping
 _TIED = 3  # samples at one largest value that may be chance
+_SURE = 6.0  # standard errors
 _COLUMNS = 8  # instants at which pings tie
 
 
@@ -45,7 +46,7 @@ def silent(levels: Levels) -> Finding:
         if whole.size:
             words += f"; {name} channels {', '.join(map(str, whole))}"
     if stuck.any():
-        words += f"; {np.count_nonzero(stuck)} hold one value throughout, which images as noise: set them to zero or leave them out"
+        words += f"; {np.count_nonzero(stuck)} hold one value throughout: set them to zero or leave them out"
     return Finding("silent traces", "warn", words)
 
 
@@ -78,8 +79,8 @@ def clipped(echoes: Echoes, levels: Levels, sample: Sample) -> Finding:
         counts = np.unique(size, return_counts=True)[1]
         if counts.size > 1 and counts[-1] > _TIED + 2 * counts[-2]:
             many = np.count_nonzero((levels.at_top > _TIED) & ~levels.constant)
-            text = f"{counts[-1]} samples at the largest value {levels.top[worst]:g} in ping {ping}, channel {channel}; {many} traces"
-            return Finding("clipping", "warn", text + ": lower the gain; what is lost then cannot be restored")
+            text = f"{counts[-1]} samples at the largest value {levels.top[worst]:g} in ping {ping}, channel {channel}"
+            return Finding("clipping", "warn", f"{text}; {many} traces: record with less gain; what is lost cannot be restored")
     instants, pings = _tied(sample)
     if instants >= _COLUMNS:
         text = f"at {instants} instants up to {pings} pings have one largest value"
@@ -135,16 +136,18 @@ def _ratio(echoes: Echoes, ping: int, channel: int) -> float:
         return 0.0
     ratio = 20 * np.log10(pair[1, both] / pair[0, both])
     # of quiet and of loud samples: an echo that comes into the beam leaves the rest as it was
-    loud = pair[:, both].sum(axis=0)
+    loud = pair[:, both].prod(axis=0)
     halves = [float(np.median(ratio[which])) for which in (loud <= np.median(loud), loud > np.median(loud))]
     return float(np.median(ratio)) if abs(halves[0] - halves[1]) < 2 + 0.1 * abs(halves[0]) else 0.0
 
 
-def channels(levels: Levels, coherence: FloatArray, sample: Sample) -> Finding:
+def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample) -> Finding:
     """Channels unlike the others: of another level, or with echoes that no other has.
 
     coherence : (channel, channel)
         Mean over the pings of |sum x y*| / sqrt(sum |x|^2 sum |y|^2), of the sample's channels.
+    chance : (float, float)
+        What unlike traces have of it, and its standard deviation.
     """
     sounding = levels.sounding & ~levels.constant
     if sounding.shape[1] < 3 or not sounding.any():
@@ -154,22 +157,19 @@ def channels(levels: Levels, coherence: FloatArray, sample: Sample) -> Finding:
     level = 10 * np.log10(np.nanmedian(power[:, alive], axis=0))
     off = level - np.median(level)
     said = [f"channel {alive[i]} is {off[i]:+.3g} dB from the others" for i in np.flatnonzero(np.abs(off) > _LOUD)]
-    own = _alone(coherence)
-    said += [f"channel {sample.channels[i]} has echoes of its own (coherence {own[0][i]:.2g}, usual {own[1]:.2g})" for i in own[2]]
+    best = np.where(np.eye(len(coherence), dtype=bool), 0, coherence).max(axis=1) - chance[0]
+    usual = float(np.median(best))
+    if usual > _SURE * chance[1] / np.sqrt(len(sample.pings) / 2):
+        alone = (best < 0.3 * usual) & (coherence.diagonal() > 0)
+        said += [
+            f"channel {sample.channels[i]} has echoes of its own (coherence {best[i]:.2g} above chance, usual {usual:.2g})"
+            for i in np.flatnonzero(alone)
+        ]
     if said:
         more = f"; and {len(said) - 3} more" if len(said) > 3 else ""
         text = "; ".join(said[:3]) + more + ": noise, or a gain of its own: weigh it by 1/gain or leave it out (weights 0)"
         return Finding("channels", "warn", text)
     return Finding("channels", "ok", f"{sounding.shape[1]} alike within {np.abs(off).max():.2g} dB")
-
-
-def _alone(coherence: FloatArray) -> tuple[FloatArray, float, list[int]]:
-    """Best coherence of every channel with another, the usual one, and channels far below it."""
-    others = np.where(np.eye(len(coherence), dtype=bool), 0, coherence)
-    best = np.asarray(others.max(axis=1, initial=0.0))
-    usual = float(np.median(best))
-    dead = coherence.diagonal() == 0
-    return best, usual, [int(i) for i in np.flatnonzero((best < 0.4 * usual) & (usual > 0.3) & ~dead)]
 
 
 def gaps(sample: Sample) -> Finding:
@@ -179,7 +179,7 @@ def gaps(sample: Sample) -> Finding:
     # echoes shift by so many samples from ping to ping at most, and a record's start may
     starts = float(np.abs(np.diff(echoes.start_time[sample.pings])).max(initial=0.0))
     shift = int((2 * float(step.max(initial=0.0)) / float(np.mean(echoes.c)) + starts) * echoes.fs) + 1
-    least = 8 + 4 * shift
+    least = 8 + 2 * shift
     if len(traces) < 3 or traces.shape[-1] < 2 * least:
         return Finding("gaps", "ok", "too few samples to tell")
     zero = traces == 0
@@ -202,3 +202,29 @@ def gaps(sample: Sample) -> Finding:
 
 def _filled(heard: npt.NDArray[Any]) -> bool:
     return bool(np.mean(heard) > 0.9)
+
+
+def transposed(sample: Sample) -> Finding:
+    """As many samples as pings, each the other: levels that change from ping to ping and not with range, band across pings."""
+    echoes = sample.echoes
+    name = "axes"
+    if echoes.n_ping != echoes.n_sample or echoes.n_ping < 16:
+        return Finding(name, "ok", "pings and samples differ in number" if echoes.n_ping != echoes.n_sample else "few pings")
+    data = np.asarray(echoes.traces[:, sample.channels[len(sample.channels) // 2]]).astype(np.complex128)
+    if not np.isfinite(data).all() or not data.any():
+        return Finding(name, "ok", "no finite samples")
+    power = np.abs(data) ** 2
+    level = np.log(power + 1e-3 * power.mean())
+    ranges, pings = float(np.var(level.mean(axis=0))), float(np.var(level.mean(axis=1)))
+    middle, band = sample.band
+    inside = []
+    for axis in (1, 0):
+        spectra = np.abs(np.fft.fft(data, axis=axis)) ** 2
+        frequency = np.fft.fftfreq(len(data), 1 / echoes.fs)
+        off = np.abs((frequency - middle + echoes.fs / 2) % echoes.fs - echoes.fs / 2) <= 0.55 * band
+        inside.append(float(spectra.sum(axis=1 - axis)[off].sum() / spectra.sum()))
+    text = f"levels vary {np.sqrt(ranges):.2g} with range and {np.sqrt(pings):.2g} from ping to ping"
+    text += f", {100 * inside[0]:.3g} % of the energy is in the band along samples, {100 * inside[1]:.3g} % along pings"
+    if (ranges < 0.3 * pings and inside[1] > inside[0] - 0.05) or (inside[1] > inside[0] + 0.1 and ranges < 1.5 * pings):
+        return Finding(name, "FAIL", f"{text}: pings and samples are transposed: swap the axes")
+    return Finding(name, "ok", text)

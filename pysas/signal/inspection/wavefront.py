@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pysas._checks import FloatArray
 
@@ -23,6 +24,8 @@ class Echo:
         rad, of A exp(-2j pi fc delay) up to one constant.
     tx, rx : (ping, 3), (ping, channel, 3)
         Where the positions given have transmitter and receivers, m; receivers when the echo arrives.
+    ping : (ping,)
+        Which they are.
     c, fc, bandwidth : float
     """
 
@@ -30,6 +33,7 @@ class Echo:
     phase: FloatArray
     tx: FloatArray
     rx: FloatArray
+    ping: npt.NDArray[np.intp]
     c: float
     fc: float
     bandwidth: float
@@ -58,11 +62,12 @@ class Echo:
 
 @dataclass(frozen=True)
 class Fit:
-    """The best place: how the phases agree there, and by how much delays are later than its, s."""
+    """The best place: how the phases agree there, and by how much delays are later than its, s; the echoes that it is of."""
 
     coherence: float
     place: FloatArray
     late: float
+    echo: Echo
 
 
 def fit(echo: Echo, late: bool = False) -> Fit:
@@ -71,21 +76,27 @@ def fit(echo: Echo, late: bool = False) -> Fit:
     From twelve directions about the track; delays first (Gauss-Newton), then phases along what delays leave open. With `late`
     delays are known up to a constant.
     """
-    best = Fit(0.0, np.zeros(3), 0.0)
+    best = Fit(0.0, np.zeros(3), 0.0, echo)
     for start in _starts(echo):
         place = _by_delay(echo, start, late)
         kept = _kept(echo, place)
         if kept is None:
             continue
-        place = _by_phase(kept, _along(kept, _by_delay(kept, place, late)))
+        place = _by_phase(kept, _along(kept, _by_delay(kept, place, late)), late)
         agreed = kept.coherence(place)
         left = kept.delay - kept.travel(place)
         mean = float(np.median(left))
         spread = 1.5 * float(np.median(np.abs(left - mean)))
         # places far from what was heard may agree by chance
         if spread < 0.5 / echo.bandwidth and (late or abs(mean) < 1.0 / echo.bandwidth) and agreed > best.coherence:
-            best = Fit(agreed, place, mean)
+            best = Fit(agreed, place, mean, kept)
     return best
+
+
+def part(echo: Echo, rows: npt.NDArray[np.bool_] | slice) -> Echo:
+    """Some of its pings."""
+    names = ("delay", "phase", "tx", "rx", "ping")
+    return replace(echo, **{name: getattr(echo, name)[rows] for name in names})
 
 
 def _kept(echo: Echo, place: FloatArray) -> Echo | None:
@@ -97,7 +108,7 @@ def _kept(echo: Echo, place: FloatArray) -> Echo | None:
     rows = left <= max(3 * float(np.median(left)), 0.3 / echo.bandwidth)
     if np.count_nonzero(rows) < max(8, 0.66 * rows.size):
         return None
-    return replace(echo, delay=echo.delay[rows], phase=echo.phase[rows], tx=echo.tx[rows], rx=echo.rx[rows])
+    return part(echo, rows)
 
 
 def _starts(echo: Echo) -> list[FloatArray]:
@@ -146,15 +157,43 @@ def _along(echo: Echo, place: FloatArray) -> FloatArray:
     return found
 
 
-def _by_phase(echo: Echo, place: FloatArray) -> FloatArray:
-    """Gauss-Newton on the phases left."""
+def _by_phase(echo: Echo, place: FloatArray, range_free: bool = False) -> FloatArray:
+    """Gauss-Newton on the phases left; the mean delay holds the range, within a tenth of a cell, unless that is free."""
+    held = 0.0 if range_free else 2 * np.pi * echo.bandwidth / 0.1
+    rcond = 1e-6 if range_free else 1e-4
+
+    def cost(at: FloatArray) -> float:
+        late = float(np.median(echo.delay - echo.travel(at)))
+        return float(np.sum(echo.left(at) ** 2)) + (held * late) ** 2
+
     for _ in range(_STEPS):
         slope = echo.slope(place).reshape(-1, 3)
-        slope = 2 * np.pi * echo.fc * (slope - slope.mean(axis=0))
         left = echo.left(place).ravel()
-        step = np.linalg.lstsq(slope, -(left - left.mean()), rcond=1e-2)[0]
-        moved = place + step
-        if not np.all(np.isfinite(moved)) or echo.coherence(moved) < echo.coherence(place):
+        rows = 2 * np.pi * echo.fc * (slope - slope.mean(axis=0))
+        late = float(np.median(echo.delay - echo.travel(place)))
+        rows = np.vstack([rows, held * slope.mean(axis=0)])
+        step = np.linalg.lstsq(rows, np.r_[left.mean() - left, held * late], rcond=rcond)[0]
+        if not np.all(np.isfinite(step)) or cost(place + step) >= cost(place):
             break
-        place = moved
+        place = place + step
     return place
+
+
+def lateness(found: Fit) -> tuple[float, float]:
+    """By how much delays are later than the curvature of the wavefront says, and the standard error of that, s.
+
+    Infinite where phases leave the range open, as on a level circle, where another depth does as well.
+    """
+    echo = found.echo
+    place = _by_phase(echo, found.place, range_free=True)
+    slope = echo.slope(place).reshape(-1, 3)
+    inner = 2 * np.pi * echo.fc * (slope - slope.mean(axis=0))
+    values, axes = np.linalg.svd(inner, full_matrices=False)[1:]
+    told = values > 1e-6 * values[0]
+    # along each axis: how the delay changes, and how well phases tell it; each ping is one look, channels see alike
+    gain = axes @ slope.mean(axis=0)
+    noise = (float(np.std(echo.left(place))) + 0.02) * np.sqrt(echo.rx.shape[1])
+    error = float(np.sqrt(np.sum((gain[told] * noise / values[told]) ** 2)))
+    if np.linalg.norm(gain[~told]) > 1e-3 * np.linalg.norm(gain):
+        error = np.inf
+    return float(np.median(echo.delay - echo.travel(place))), error
