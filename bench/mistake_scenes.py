@@ -106,7 +106,7 @@ def survey(scene, seed=0, *, advance=1.0, duration=None, speed=1.5):
 def bed(scene, rng, middle, length):
     """Scatterers of a scene and their amplitudes."""
     if scene.path == "circle":
-        low, high = np.array([-4.0, -4.0]), np.array([4.0, 4.0])
+        low, high = np.array([-2.0, -2.0]), np.array([2.0, 2.0])  # what pings 25 mm apart sample
     else:
         low = np.array([middle[0] - length / 2 - 4, scene.near - 1])
         high = np.array([middle[0] + length / 2 + 4, scene.near + 11])

@@ -222,11 +222,13 @@ def array(case):
 
 
 def bent(case):
-    return array(case) or (case.path == "sway" and points(case))
+    return array(case) or (case.path == "sway" and followed(case))
 
 
-def points(case):
-    return case.bed in ("points", "both")
+def followed(case):
+    """An echo can be followed over 20 pings, and fits."""
+    good = pysas.inspection.inspect(case.formed(case.echoes))
+    return any(f.name == "positions" and "echoes followed fit" in f.text for f in good)
 
 
 def simulated(case):
@@ -249,7 +251,7 @@ MISTAKES = (
     Mistake("pings and samples transposed", pings_as_samples, "transposed", after=True),
     Mistake("degrees taken for metres", degrees, "degrees of latitude"),
     Mistake("UTM as float32", single, "positions are multiples of"),
-    Mistake("lever arm forgotten", lever, "lever arm", points, "echoes to follow"),
+    Mistake("lever arm forgotten", lever, "lever arm", followed, "where an echo can be followed"),
     Mistake("dead channel", channel(lambda e: 0), "dead channels", array, "arrays"),
     Mistake("stuck channel", channel(lambda e: 0.37), "stuck channels", lambda c: array(c) and raw(c), "arrays, raw"),
     Mistake("noisy channel, +20 dB", channel(lambda e: noise(e, 20)), "channels:.*dB from the others", array, "arrays"),
@@ -262,7 +264,7 @@ MISTAKES = (
     Mistake(
         "phase centres that overlap", {"advance": 0.85}, "phase centres:.*ghosts", lambda c: array(c) and simulated(c), "arrays"
     ),
-    Mistake("start of record 37 samples late", late, "t0", points, "echoes to follow"),
+    Mistake("start of record 37 samples late", late, "t0", lambda c: c.path != "circle" and followed(c), "lines, where an echo can be followed"),
     Mistake("energy beyond the declared band", lambda e: e.replace(bandwidth=e.bandwidth / 2, pulse=None), "band:", after=True),
     Mistake("interference beside the band", tone, "band:.*interference", raw, RAW),
     Mistake(

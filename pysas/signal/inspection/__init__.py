@@ -89,7 +89,12 @@ def _heard(echoes: Echoes, levels: Levels, lost: bool) -> list[Finding]:
     found.append(traces.channels(levels, order.within_pings(coherence, sample), chance, sample))
     if lost:
         return found
-    found.append(order.order(sample, coherence))
-    if found[-1].state == "ok":
-        found.append(followed.explained(chosen(echoes, levels, 256, 4)))
+    ordered = order.order(sample, coherence)
+    positions, vouched = followed.explained(chosen(echoes, levels, 256, 4))
+    if vouched:  # a few points may be alike from anywhere
+        ordered = Finding("order", "ok", "echoes fit the positions in this order")
+    if ordered.state == "ok" or positions.state == "FAIL":
+        found.append(positions)
+    if positions.state != "FAIL":
+        found.append(ordered)
     return found

@@ -19,7 +19,7 @@ _LEAST = 20  # pings
 _FAINT = 0.1  # of the loudest: its side lobes
 _BESIDE = 12  # cells about an echo that are not looked at again
 _PROMINENT = 5.0  # times the median beside it
-_RIGHT, _WRONG = 0.8, 0.65  # coherences; by chance 20 pings reach about 0.55
+_RIGHT, _WRONG = 0.85, 0.75  # coherences; by chance 20 pings reach about 0.55
 _JUMP = 0.5  # cells of range between steps of two pings that follow each other
 _ROUGH = 0.9  # rad, of second differences
 _SURE = 6.0  # standard errors
@@ -120,22 +120,26 @@ def _read(sample: Sample, rows: Index, at: Index) -> Echo:
     return Echo(delay, phase, sample.tx[rows], rx, sample.pings[rows], c, echoes.fc, echoes.occupied_bandwidth)
 
 
-def explained(sample: Sample) -> Finding:
-    """Whether a place explains the echoes' delays and phases, with the positions given."""
+def explained(sample: Sample) -> tuple[Finding, bool]:
+    """Whether a place explains the echoes' delays and phases with the positions given; and whether that vouches for their order."""
     echoes = [echo for echo in followed(sample) if not _rough(echo)]
     fits = [fit(echo) for echo in echoes]
     if not fits:
-        return Finding("positions", "ok", "no echo stands out over 20 pings: nothing says whether positions fit the phases")
+        text = "no echo stands out over 20 pings: nothing says whether positions fit the phases"
+        return Finding("positions", "ok", text), False
     agreed = [found.coherence for found in fits]
     right, wrong = sum(v >= _RIGHT for v in agreed), sum(v < _WRONG for v in agreed)
     if wrong > 2 * right:
-        return _guilty(sample, echoes, max(agreed))
+        return _guilty(sample, echoes, max(agreed)), False
     times = [lateness(found) for found in fits if found.coherence >= _RIGHT]
     sure = [late for late, error in times if abs(late) > _SURE * error and abs(late) > 2 / sample.echoes.occupied_bandwidth]
     text = f"{right} of {len(fits)} echoes followed fit a place (coherence {max(agreed):.2f})"
-    if sure and len(sure) >= 0.6 * len(times) and np.ptp(sure) < 0.5 * abs(np.median(sure)):
-        return Finding("positions", "warn", f"{text}, but {_delayed(float(np.median(sure)), fits[0].echo.c)}")
-    return Finding("positions", "ok", text)
+    if sure:
+        late = float(np.median(sure))
+        able = sum(_SURE * error < abs(late) for _, error in times)
+        if len(sure) >= 0.6 * able and np.ptp(sure) < 0.5 * abs(late):
+            return Finding("positions", "warn", f"{text}, but {_delayed(late, fits[0].echo.c)}"), True
+    return Finding("positions", "ok", text), right > 0
 
 
 def _delayed(seconds: float, c: float) -> str:
@@ -162,7 +166,7 @@ def _guilty(sample: Sample, echoes: list[Echo], agreed: float) -> Finding:
     if words:
         return Finding("positions", "FAIL", f"{text}, {best:.2f} if not): {words}")
     if _alone_right(echoes):
-        words = "though each channel's do: receivers are shuffled, or their places are wrong: check rx"
+        words = "though each channel's do: receivers are shuffled, or their places, lever arms or attitude wrong: check rx"
         return Finding("positions", "FAIL", f"{text}) {words}")
     delayed = [fit(e, late=True) for e in echoes]
     near = all(abs(found.late) < 0.1 * float(found.echo.delay.mean()) for found in delayed)

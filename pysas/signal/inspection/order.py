@@ -134,7 +134,8 @@ def _pings(sample: Sample, coherence: FloatArray, usual: float, spread: float) -
     beside = np.nanmax(np.where(_near(distance), alike, -1), axis=1)
     partner = best - row > _STANDS_OUT * scatter
     apart = partner & (beside - row < 0.4 * (best - row))
-    if np.count_nonzero(partner) < 0.4 * len(partner) or np.count_nonzero(apart) < max(4, _MISPLACED * len(partner)):
+    clear, elsewhere = float(partner.mean()), float(apart.mean())
+    if not (elsewhere > 0.6 * clear > 0.12 or (clear > 0.4 and elsewhere > _MISPLACED)) or np.count_nonzero(apart) < 4:
         return None
     first = int(np.argmax(apart))
     there = int(np.nanargmax(alike[first]))

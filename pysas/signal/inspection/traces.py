@@ -225,6 +225,7 @@ def transposed(sample: Sample) -> Finding:
         inside.append(float(spectra.sum(axis=1 - axis)[off].sum() / spectra.sum()))
     text = f"levels vary {np.sqrt(ranges):.2g} with range and {np.sqrt(pings):.2g} from ping to ping"
     text += f", {100 * inside[0]:.3g} % of the energy is in the band along samples, {100 * inside[1]:.3g} % along pings"
-    if (ranges < 0.3 * pings and inside[1] > inside[0] - 0.05) or (inside[1] > inside[0] + 0.1 and ranges < 1.5 * pings):
+    more = inside[1] - inside[0]
+    if more > 0.05 or (more > 0.02 and ranges < 1.2 * pings) or (more > -0.05 and ranges < 0.3 * pings):
         return Finding(name, "FAIL", f"{text}: pings and samples are transposed: swap the axes")
     return Finding(name, "ok", text)
