@@ -77,6 +77,16 @@ def down(echoes):
     return echoes.replace(pulse=replace(echoes.pulse, bandwidth=-echoes.pulse.bandwidth))
 
 
+def in_turn(echoes):
+    """Up and down sweeps in turn, taken for one: the spectra of every other ping turned from one sweep's phase to the other's."""
+    n = 2 * echoes.n_sample
+    pulse, other = (p.spectrum(np.fft.fftfreq(n, 1 / echoes.fs)) for p in (echoes.pulse, down(echoes).pulse))
+    turn = other * np.conj(pulse) / np.maximum(np.abs(other * pulse), 1e-300)
+    data = echoes.data.copy()
+    data[::2] = np.fft.ifft(np.fft.fft(data[::2], n, axis=-1) * turn, axis=-1)[..., : echoes.n_sample]
+    return with_data(echoes, data)
+
+
 def shuffled(echoes):
     return with_data(echoes, echoes.data[rng(echoes).permutation(echoes.n_ping)])
 
@@ -243,6 +253,7 @@ MISTAKES = (
     Mistake("conjugate data", lambda e: with_data(e, e.data.conj()), "conjugate", has_pulse, PULSE),
     Mistake("I and Q swapped", swapped, "I and Q swapped", has_pulse, PULSE),
     Mistake("wrong sign of the sweep", down, "sweep's sign", has_pulse, PULSE),
+    Mistake("up and down sweeps in turn, one pulse", in_turn, "in turn", has_pulse, PULSE),
     Mistake("pings shuffled", shuffled, "pings are shuffled"),
     Mistake("pings reversed", lambda e: with_data(e, e.data[::-1]), "in reverse order", bent, "arrays, bent tracks"),
     Mistake("receivers reversed", lambda e: with_data(e, e.data[:, ::-1]), "in reverse order", array, "arrays"),

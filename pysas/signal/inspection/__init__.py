@@ -86,15 +86,15 @@ def _heard(echoes: Echoes, levels: Levels, lost: bool) -> list[Finding]:
         return found
     coherence = order.coherences(sample)
     chance = order.background(coherence, sample)
-    found.append(traces.channels(levels, order.within_pings(coherence, sample), chance, sample))
+    channels, odd = traces.channels(levels, order.within_pings(coherence, sample), chance, sample)
+    found.append(channels)
     if lost:
         return found
-    ordered = order.order(sample, coherence)
-    positions, vouched = followed.explained(chosen(echoes, levels, 256, 4))
-    if vouched:  # a few points may be alike from anywhere
-        ordered = Finding("order", "ok", "echoes fit the positions in this order")
-    if ordered.state == "ok" or positions.state == "FAIL":
-        found.append(positions)
-    if positions.state != "FAIL":
-        found.append(ordered)
+    positions, told = followed.explained(chosen(echoes, levels, 256, 4, odd))
+    found.append(positions)
+    if not told:  # a few points may be alike from anywhere: followed they say more
+        if odd:
+            sample = chosen(echoes, levels, without=odd)
+            coherence = order.coherences(sample)
+        found.append(order.order(sample, coherence))
     return found

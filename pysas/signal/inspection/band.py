@@ -22,6 +22,7 @@ _ELSEWHERE = 3.0  # so much that nothing is right
 _LINE = 4.0  # times the median beside it
 _BEYOND = 0.05  # share of energy that compressed data may have beyond their band
 _SWEPT = 5.0  # standard errors
+_CLEAR = 0.3  # log of a ratio of kurtosis
 
 
 def carrier(sample: Sample, levels: Levels) -> Finding:
@@ -96,7 +97,9 @@ def declared(sample: Sample) -> Finding:
     there = float(found.frequency[(at + found.width // 2) % found.power.size])
     off = _cyclic(there - found.middle, echoes.fs)
     dense = float(sliding[at]) / max(float(even[inside].sum()), 1e-300)
-    if off > 0.25 * found.band and dense > _APART:
+    # what few samples may have by chance, as neighbouring pings see the same
+    many = (1 + len(sample.pings) / 4) * sample.traces.shape[-1] * found.width / found.power.size
+    if off > 0.25 * found.band and dense > max(_APART, 1 + 5 / np.sqrt(many)):
         words = f"{text}; {dense:.2g} times as much in a band as wide about {there:+.4g} Hz"
         if _cyclic(there - echoes.fc, echoes.fs) < 0.2 * found.band:
             return Finding("band", "FAIL", words + ", which is fc: not demodulated: multiply by exp(-2j pi fc t) and low-pass")
@@ -147,6 +150,11 @@ def sweep(sample: Sample) -> Finding:
         return Finding("sweep", "ok", "nothing to hear")
     text = f"kurtosis {np.median(right[heard]):.3g} with the pulse, {np.median(wrong[heard]):.3g} with its conjugate"
     gain = np.log(wrong[heard] / right[heard])
+    by_ping = np.where(heard.any(axis=1), np.median(np.where(heard, np.log((wrong + 1e-9) / (right + 1e-9)), 0), axis=1), 0)
+    if min(np.mean(by_ping > _CLEAR), np.mean(by_ping < -_CLEAR)) > 0.1:
+        first = int(sample.pings[int(np.argmax(by_ping > _CLEAR))])
+        words = f"{text}: {100 * np.mean(by_ping > _CLEAR):.2g} % of the pings fit the conjugate, first ping {first}"
+        return Finding("sweep", "FAIL", f"{words}: up and down sweeps in turn: compress each with its own pulse")
     # neighbours see the same echoes
     error = float(np.std(gain)) / np.sqrt(max(gain.size / 8, 1.0))
     mean = float(np.mean(gain))

@@ -121,7 +121,7 @@ def _read(sample: Sample, rows: Index, at: Index) -> Echo:
 
 
 def explained(sample: Sample) -> tuple[Finding, bool]:
-    """Whether a place explains the echoes' delays and phases with the positions given; and whether that vouches for their order."""
+    """Whether a place explains the echoes' delays and phases with the positions given; and whether that tells of their order."""
     echoes = [echo for echo in followed(sample) if not _rough(echo)]
     fits = [fit(echo) for echo in echoes]
     if not fits:
@@ -130,7 +130,7 @@ def explained(sample: Sample) -> tuple[Finding, bool]:
     agreed = [found.coherence for found in fits]
     right, wrong = sum(v >= _RIGHT for v in agreed), sum(v < _WRONG for v in agreed)
     if wrong > 2 * right:
-        return _guilty(sample, echoes, max(agreed)), False
+        return _guilty(sample, echoes, max(agreed)), True
     times = [lateness(found) for found in fits if found.coherence >= _RIGHT]
     sure = [late for late, error in times if abs(late) > _SURE * error and abs(late) > 2 / sample.echoes.occupied_bandwidth]
     text = f"{right} of {len(fits)} echoes followed fit a place (coherence {max(agreed):.2f})"
@@ -166,7 +166,7 @@ def _guilty(sample: Sample, echoes: list[Echo], agreed: float) -> Finding:
     if words:
         return Finding("positions", "FAIL", f"{text}, {best:.2f} if not): {words}")
     if _alone_right(echoes):
-        words = "though each channel's do: receivers are shuffled, or their places, lever arms or attitude wrong: check rx"
+        words = "though each channel's do: receivers are shuffled or inverted, or their places, lever arms or attitude wrong: check rx"
         return Finding("positions", "FAIL", f"{text}) {words}")
     delayed = [fit(e, late=True) for e in echoes]
     near = all(abs(found.late) < 0.1 * float(found.echo.delay.mean()) for found in delayed)

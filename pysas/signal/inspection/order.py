@@ -13,7 +13,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.signal.inspection.finding import Finding
 from pysas.signal.inspection.sample import Sample
 
-_NEAREST = 2  # pings or receivers on whose side a partner must stand
+_NEAREST = (2, 4)  # receivers, and pings, about each among which its partner must be
 _STANDS_OUT = 3.8  # robust standard deviations; the best of a hundred by chance: 2.8, of a tenth of them more than this
 _SURE = 5.0  # standard errors
 _MISPLACED = 0.1  # share of pings with a partner elsewhere
@@ -79,10 +79,10 @@ def _receivers(sample: Sample, coherence: FloatArray, usual: float, spread: floa
         return None
     inside = np.where(np.eye(count, dtype=bool), 0, within_pings(coherence, sample))
     distance = np.linalg.norm(sample.rx.mean(axis=0)[:, None] - sample.rx.mean(axis=0), axis=-1)
-    best, beside = inside.max(axis=1), np.where(_near(distance), inside, 0).max(axis=1)
+    best, beside = inside.max(axis=1), np.where(_near(distance, _NEAREST[0]), inside, 0).max(axis=1)
     partner = best - usual > _SURE * spread / np.sqrt(pings / 2)
-    apart = partner & (beside - usual < 0.5 * (best - usual))
-    if np.count_nonzero(apart) < max(3, 0.4 * count):
+    apart = partner & (beside - usual < 0.35 * (best - usual))
+    if np.count_nonzero(apart) < max(3, 0.5 * count):
         return None
     first = int(np.argmax(apart))
     text = f"{np.count_nonzero(apart)} of {count} receivers are most like others than those beside them"
@@ -131,7 +131,7 @@ def _pings(sample: Sample, coherence: FloatArray, usual: float, spread: float) -
     scatter = 1.48 * np.nanmedian(np.abs(alike - row[:, None]), axis=1) + 1e-6
     distance = np.linalg.norm(sample.tx[:, None] - sample.tx, axis=-1)
     best = np.nanmax(alike, axis=1)
-    beside = np.nanmax(np.where(_near(distance), alike, -1), axis=1)
+    beside = np.nanmax(np.where(_near(distance, _NEAREST[1]), alike, -1), axis=1)
     partner = best - row > _STANDS_OUT * scatter
     apart = partner & (beside - row < 0.4 * (best - row))
     clear, elsewhere = float(partner.mean()), float(apart.mean())
@@ -166,10 +166,10 @@ def _distances(centres: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square - 2 * inner @ inner.T, 0)))
 
 
-def _near(distance: FloatArray) -> Bool:
-    """Pairs of which one is among the two nearest of the other, or as near as those."""
+def _near(distance: FloatArray, count: int) -> Bool:
+    """Pairs of which one is among so many nearest of the other, or as near as those."""
     apart = np.where(np.eye(len(distance), dtype=bool), np.inf, distance)
-    reach = np.sort(apart, axis=1)[:, min(_NEAREST, len(apart) - 1) - 1]
+    reach = np.sort(apart, axis=1)[:, min(count, len(apart) - 1) - 1]
     return np.asarray(apart <= np.maximum(reach[:, None], reach) * (1 + 1e-9))
 
 

@@ -5,6 +5,7 @@ Which they are depends on the counts alone, so a file is always told the same.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -114,13 +115,22 @@ class Sample:
         return self.back(self.spectra * np.conj(self.transfer).astype(self.traces.dtype))
 
 
-def chosen(echoes: Echoes, levels: Levels, pings: int = MOST_PINGS, channels: int = MOST_CHANNELS) -> Sample:
+def chosen(
+    echoes: Echoes,
+    levels: Levels,
+    pings: int = MOST_PINGS,
+    channels: int = MOST_CHANNELS,
+    without: Sequence[int] = (),
+) -> Sample:
     """At most so many pings about the middle of the survey and channels evenly among all, the loudest samples of long records.
 
-    At most 512 traces of 4096 samples: 2^21, whatever the file.
+    At most 512 traces of 4096 samples: 2^21, whatever the file. Channels that are dead, stuck or in `without` are left out.
     """
     n_ping, n_channel, n = echoes.traces.shape
-    channel = np.unique(np.linspace(0, n_channel - 1, min(n_channel, channels)).round().astype(np.intp))
+    alive = (levels.sounding & ~levels.constant).any(axis=0)
+    alive[list(without)] = False
+    those = np.flatnonzero(alive) if alive.any() else np.arange(n_channel)
+    channel = those[np.unique(np.linspace(0, those.size - 1, min(those.size, channels)).round().astype(np.intp))]
     count = max(1, min(n_ping, pings, MOST_TRACES // channel.size))
     ping = np.arange((n_ping - count) // 2, (n_ping - count) // 2 + count)
     traces = echoes.traces[ping[0] : ping[-1] + 1][:, channel]

@@ -73,6 +73,8 @@ def evenness(echoes: Echoes) -> Finding:
     element = 2 * advance / offset.size if echoes.beam is None else echoes.beam.length
     level, order = _ghost(offset, advance, element)
     length = float(np.ptp(offset))
+    if length < 0.01 * advance:
+        return Finding("phase centres", "ok", "all receivers of a ping at one place")
     if level > _GHOST:
         degrees = np.degrees(np.arcsin(min(1.0, order * wavelength / (2 * advance))))
         text = f"the array's {length:.3g} m of phase centres overlap or miss those of the next ping {advance:.3g} m on"

@@ -97,11 +97,10 @@ def _tied(sample: Sample) -> tuple[int, int]:
             return found
         for part in (traces.real, traces.imag):
             size = np.sort(np.abs(part), axis=0)[::-1]
-            alike = size >= size[:1] * (1 - 2e-6)
-            count = alike.sum(axis=0)
+            count = np.sum(size == size[:1], axis=0)
             # integers tie at any value: as often at the next one
             after = np.take_along_axis(size, np.minimum(count, len(size) - 1)[None], axis=0)
-            second = np.sum((size <= after) & (size >= after * (1 - 2e-6)), axis=0)
+            second = np.sum(size == after, axis=0)
             high = (count >= _TIED) & (count > 2 * second) & (size[0] > 0) & (after[0] > 0)
             if np.count_nonzero(high) > found[0]:
                 found = int(np.count_nonzero(high)), int(count[high].max())
@@ -141,8 +140,10 @@ def _ratio(echoes: Echoes, ping: int, channel: int) -> float:
     return float(np.median(ratio)) if abs(halves[0] - halves[1]) < 2 + 0.1 * abs(halves[0]) else 0.0
 
 
-def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample) -> Finding:
-    """Channels unlike the others: of another level, or with echoes that no other has.
+def channels(
+    levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample
+) -> tuple[Finding, list[int]]:
+    """Channels unlike the others: of another level, or with echoes that no other has; and which.
 
     coherence : (channel, channel)
         Mean over the pings of |sum x y*| / sqrt(sum |x|^2 sum |y|^2), of the sample's channels.
@@ -151,11 +152,12 @@ def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float],
     """
     sounding = levels.sounding & ~levels.constant
     if sounding.shape[1] < 3 or not sounding.any():
-        return Finding("channels", "ok", f"{sounding.shape[1]}")
+        return Finding("channels", "ok", f"{sounding.shape[1]}"), []
     power = np.where(sounding, levels.power, np.nan)
     alive = np.flatnonzero(sounding.any(axis=0))
     level = 10 * np.log10(np.nanmedian(power[:, alive], axis=0))
     off = level - np.median(level)
+    which = [int(alive[i]) for i in np.flatnonzero(np.abs(off) > _LOUD)]
     said = [f"channel {alive[i]} is {off[i]:+.3g} dB from the others" for i in np.flatnonzero(np.abs(off) > _LOUD)]
     best = np.where(np.eye(len(coherence), dtype=bool), 0, coherence).max(axis=1) - chance[0]
     usual = float(np.median(best))
@@ -165,11 +167,12 @@ def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float],
             f"channel {sample.channels[i]} has echoes of its own (coherence {best[i]:.2g} above chance, usual {usual:.2g})"
             for i in np.flatnonzero(alone)
         ]
+        which += [int(sample.channels[i]) for i in np.flatnonzero(alone)]
     if said:
         more = f"; and {len(said) - 3} more" if len(said) > 3 else ""
         text = "; ".join(said[:3]) + more + ": noise, or a gain of its own: weigh it by 1/gain or leave it out (weights 0)"
-        return Finding("channels", "warn", text)
-    return Finding("channels", "ok", f"{sounding.shape[1]} alike within {np.abs(off).max():.2g} dB")
+        return Finding("channels", "warn", text), which
+    return Finding("channels", "ok", f"{sounding.shape[1]} alike within {np.abs(off).max():.2g} dB"), []
 
 
 def gaps(sample: Sample) -> Finding:

@@ -190,9 +190,10 @@ def lateness(found: Fit) -> tuple[float, float]:
     inner = 2 * np.pi * echo.fc * (slope - slope.mean(axis=0))
     values, axes = np.linalg.svd(inner, full_matrices=False)[1:]
     told = values > 1e-6 * values[0]
-    # along each axis: how the delay changes, and how well phases tell it; each ping is one look, channels see alike
+    # along each axis: how the delay changes, and how well phases tell it; each ping is one look, channels see alike, and
+    # a tenth of a radian of what is left may be no noise
     gain = axes @ slope.mean(axis=0)
-    noise = (float(np.std(echo.left(place))) + 0.02) * np.sqrt(echo.rx.shape[1])
+    noise = (float(np.std(echo.left(place))) + 0.1) * np.sqrt(echo.rx.shape[1])
     error = float(np.sqrt(np.sum((gain[told] * noise / values[told]) ** 2)))
     if np.linalg.norm(gain[~told]) > 1e-3 * np.linalg.norm(gain):
         error = np.inf
