@@ -84,7 +84,7 @@ def survey(scene, seed=0, *, advance=1.0, duration=None, speed=1.5):
         track = pysas.tracks.circular(pings, 14.0, height=height, extent=pings * step / 14.0, speed=speed)
     elif scene.path == "sway":
         track = pysas.tracks.perturbed(
-            pings, step, height=height, sway=0.05, heave=0.03, yaw=0.01, correlation=1.0, seed=seed, speed=speed
+            pings, step, height=height, sway=0.1, heave=0.03, yaw=0.01, correlation=1.0, seed=seed, speed=speed
         )
         more = {"velocity": track.velocity}
     else:

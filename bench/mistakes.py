@@ -258,7 +258,9 @@ MISTAKES = (
     Mistake("pings reversed", lambda e: with_data(e, e.data[::-1]), "in reverse order", bent, "arrays, bent tracks"),
     Mistake("receivers reversed", lambda e: with_data(e, e.data[:, ::-1]), "in reverse order", array, "arrays"),
     Mistake("receivers shuffled", other_receivers, "receivers are shuffled", array, "arrays"),
-    Mistake("pings and channels transposed", pings_as_channels, "transposed", lambda c: c.echoes.n_channel == 16, "16 receivers"),
+    Mistake(
+        "pings and channels transposed", pings_as_channels, "transposed", lambda c: c.echoes.n_channel == 16, "16 receivers"
+    ),
     Mistake("pings and samples transposed", pings_as_samples, "transposed", after=True),
     Mistake("degrees taken for metres", degrees, "degrees of latitude"),
     Mistake("UTM as float32", single, "positions are multiples of"),
@@ -275,7 +277,13 @@ MISTAKES = (
     Mistake(
         "phase centres that overlap", {"advance": 0.85}, "phase centres:.*ghosts", lambda c: array(c) and simulated(c), "arrays"
     ),
-    Mistake("start of record 37 samples late", late, "t0", lambda c: c.path != "circle" and followed(c), "lines, where an echo can be followed"),
+    Mistake(
+        "start of record 37 samples late",
+        late,
+        "t0",
+        lambda c: c.path != "circle" and followed(c),
+        "lines, where an echo can be followed",
+    ),
     Mistake("energy beyond the declared band", lambda e: e.replace(bandwidth=e.bandwidth / 2, pulse=None), "band:", after=True),
     Mistake("interference beside the band", tone, "band:.*interference", raw, RAW),
     Mistake(

@@ -75,7 +75,7 @@ def density(sample: Sample) -> Density:
     middle, band = sample.band
     width = max(1, round(band / sample.echoes.fs * power.size))
     frequency = np.asarray(scipy.fft.fftfreq(power.size, 1 / sample.echoes.fs), dtype=np.float64)
-    return Density(frequency, power, width, middle, band)
+    return Density(frequency, np.asarray(power), width, middle, band)
 
 
 def declared(sample: Sample) -> Finding:
@@ -151,10 +151,12 @@ def sweep(sample: Sample) -> Finding:
     text = f"kurtosis {np.median(right[heard]):.3g} with the pulse, {np.median(wrong[heard]):.3g} with its conjugate"
     gain = np.log(wrong[heard] / right[heard])
     by_ping = np.where(heard.any(axis=1), np.median(np.where(heard, np.log((wrong + 1e-9) / (right + 1e-9)), 0), axis=1), 0)
-    if min(np.mean(by_ping > _CLEAR), np.mean(by_ping < -_CLEAR)) > 0.1:
-        first = int(sample.pings[int(np.argmax(by_ping > _CLEAR))])
-        words = f"{text}: {100 * np.mean(by_ping > _CLEAR):.2g} % of the pings fit the conjugate, first ping {first}"
-        return Finding("sweep", "FAIL", f"{words}: up and down sweeps in turn: compress each with its own pulse")
+    share = float(np.mean(by_ping > _CLEAR))
+    turns = [_sure(by_ping[first::2]) for first in (0, 1)]
+    if min(share, float(np.mean(by_ping < -_CLEAR))) > 0.1 or min(turns) < 0 < max(turns):
+        words = f"{text}; ping {sample.pings[int(np.argmax(by_ping))]} fits the conjugate, ping "
+        words += f"{sample.pings[int(np.argmin(by_ping))]} the pulse: up and down sweeps in turn"
+        return Finding("sweep", "FAIL", f"{words}: compress each with its own pulse")
     # neighbours see the same echoes
     error = float(np.std(gain)) / np.sqrt(max(gain.size / 8, 1.0))
     mean = float(np.mean(gain))
@@ -164,6 +166,13 @@ def sweep(sample: Sample) -> Finding:
     if mean > -0.02 or mean > -_SWEPT * error:
         text += ": no echo stands out enough to tell the sweep's sign"
     return Finding("sweep", "ok", text)
+
+
+def _sure(gain: FloatArray) -> int:
+    """Sign of a mean that stands out, else 0."""
+    error = float(np.std(gain)) / np.sqrt(max(gain.size / 2, 1.0))
+    mean = float(np.mean(gain)) if gain.size > 4 else 0.0
+    return int(np.sign(mean)) if abs(mean) > max(0.02, _SWEPT * error) else 0
 
 
 def _other_way(sample: Sample) -> ComplexArray:
@@ -193,4 +202,4 @@ def kurtosis(traces: ComplexArray) -> FloatArray:
     """Mean |x|^4 / (mean |x|^2)^2 of every trace: 2 for noise; 0 for silence."""
     power = np.abs(traces).astype(np.float64) ** 2
     mean = power.mean(axis=-1)
-    return np.divide(np.mean(power**2, axis=-1), mean**2, out=np.zeros_like(mean), where=mean > 0)
+    return np.asarray(np.divide(np.mean(power**2, axis=-1), mean**2, out=np.zeros_like(mean), where=mean > 0))

@@ -12,7 +12,7 @@ import numpy as np
 from pysas._checks import FloatArray
 from pysas.signal.inspection.finding import Finding
 from pysas.signal.inspection.sample import Complex, Index, Sample
-from pysas.signal.inspection.wavefront import Echo, fit, lateness, part
+from pysas.signal.inspection.wavefront import Echo, fit, lateness, part, swapped
 
 _ECHOES = 5
 _LEAST = 20  # pings
@@ -114,14 +114,12 @@ def _read(sample: Sample, rows: Index, at: Index) -> Echo:
             delay[row, channel] = echoes.start_time[sample.pings[ping]] + (sample.first + peak + part) / echoes.fs
             # about another middle of the band phases turn within the peak
             phase[row, channel] = np.angle(trace[peak]) + 2 * np.pi * middle * part / echoes.fs
-    moving = echoes.receiver_velocity
-    if moving is not None:
-        rx = rx + moving[np.ix_(sample.pings[rows], sample.channels)] * delay[..., None]
-    return Echo(delay, phase, sample.tx[rows], rx, sample.pings[rows], c, echoes.fc, echoes.occupied_bandwidth)
+    pings = sample.pings[rows]
+    return Echo(delay, phase, sample.tx[rows], _heard_at(sample, pings, delay), pings, c, echoes.fc, echoes.occupied_bandwidth)
 
 
 def explained(sample: Sample) -> tuple[Finding, bool]:
-    """Whether a place explains the echoes' delays and phases with the positions given; and whether that tells of their order."""
+    """Whether a place explains the echoes with the positions given; and whether that tells of their order."""
     echoes = [echo for echo in followed(sample) if not _rough(echo)]
     fits = [fit(echo) for echo in echoes]
     if not fits:
@@ -134,6 +132,11 @@ def explained(sample: Sample) -> tuple[Finding, bool]:
     times = [lateness(found) for found in fits if found.coherence >= _RIGHT]
     sure = [late for late, error in times if abs(late) > _SURE * error and abs(late) > 2 / sample.echoes.occupied_bandwidth]
     text = f"{right} of {len(fits)} echoes followed fit a place (coherence {max(agreed):.2f})"
+    pairs = [swapped(found) for found in fits]
+    if pairs[0] is not None and pairs.count(pairs[0]) > len(pairs) / 2:
+        one, other = sample.channels[pairs[0]], sample.channels[pairs[0] + 1]
+        words = f"{text}, and far better with the places of channels {one} and {other} changed"
+        return Finding("positions", "FAIL", f"{words}: receivers are shuffled: reorder channels or rx"), True
     if sure:
         late = float(np.median(sure))
         able = sum(_SURE * error < abs(late) for _, error in times)
@@ -166,7 +169,7 @@ def _guilty(sample: Sample, echoes: list[Echo], agreed: float) -> Finding:
     if words:
         return Finding("positions", "FAIL", f"{text}, {best:.2f} if not): {words}")
     if _alone_right(echoes):
-        words = "though each channel's do: receivers are shuffled or inverted, or their places, lever arms or attitude wrong: check rx"
+        words = "though each channel's do: receivers are shuffled or inverted, or their places, lever arms or attitude wrong"
         return Finding("positions", "FAIL", f"{text}) {words}")
     delayed = [fit(e, late=True) for e in echoes]
     near = all(abs(found.late) < 0.1 * float(found.echo.delay.mean()) for found in delayed)
@@ -177,11 +180,17 @@ def _guilty(sample: Sample, echoes: list[Echo], agreed: float) -> Finding:
     return Finding("positions", "warn", f"{text}): {words}")
 
 
+def _heard_at(sample: Sample, pings: Index, delay: FloatArray) -> FloatArray:
+    """Receivers when echoes arrive."""
+    which = np.ix_(pings, sample.channels)
+    rx, moving = sample.echoes.receivers[which], sample.echoes.receiver_velocity
+    return rx if moving is None else rx + moving[which] * delay[..., None]
+
+
 def _other_way(sample: Sample, echo: Echo) -> Echo:
     """With the positions of the pings in reverse order."""
-    last = sample.echoes.n_ping - 1
-    tx = sample.echoes.tx[last - echo.ping]
-    return replace(echo, tx=tx, rx=sample.echoes.receivers[np.ix_(last - echo.ping, sample.channels)])
+    pings = sample.echoes.n_ping - 1 - echo.ping
+    return replace(echo, tx=sample.echoes.tx[pings], rx=_heard_at(sample, pings, echo.delay))
 
 
 def _alone_right(echoes: list[Echo]) -> bool:

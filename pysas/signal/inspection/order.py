@@ -81,7 +81,7 @@ def _receivers(sample: Sample, coherence: FloatArray, usual: float, spread: floa
     distance = np.linalg.norm(sample.rx.mean(axis=0)[:, None] - sample.rx.mean(axis=0), axis=-1)
     best, beside = inside.max(axis=1), np.where(_near(distance, _NEAREST[0]), inside, 0).max(axis=1)
     partner = best - usual > _SURE * spread / np.sqrt(pings / 2)
-    apart = partner & (beside - usual < 0.35 * (best - usual))
+    apart = partner & (beside - usual < 0.42 * (best - usual))
     if np.count_nonzero(apart) < max(3, 0.5 * count):
         return None
     first = int(np.argmax(apart))
@@ -145,7 +145,7 @@ def _pings(sample: Sample, coherence: FloatArray, usual: float, spread: float) -
 
 
 def _affinity(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> FloatArray:
-    """(ping, ping) how much pings are alike at that offset of their channels which is best, in standard deviations of chance."""
+    """(ping, ping) how alike pings are at that offset of their channels which is best, in standard deviations of chance."""
     pings, count = sample.traces.shape[:2]
     by = coherence.reshape(pings, count, pings, count)
     best = np.full((pings, pings), -np.inf)

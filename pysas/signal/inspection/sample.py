@@ -127,7 +127,7 @@ def chosen(
     At most 512 traces of 4096 samples: 2^21, whatever the file. Channels that are dead, stuck or in `without` are left out.
     """
     n_ping, n_channel, n = echoes.traces.shape
-    alive = (levels.sounding & ~levels.constant).any(axis=0)
+    alive = np.asarray((levels.sounding & ~levels.constant).any(axis=0))
     alive[list(without)] = False
     those = np.flatnonzero(alive) if alive.any() else np.arange(n_channel)
     channel = those[np.unique(np.linspace(0, those.size - 1, min(those.size, channels)).round().astype(np.intp))]

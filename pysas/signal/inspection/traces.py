@@ -140,9 +140,7 @@ def _ratio(echoes: Echoes, ping: int, channel: int) -> float:
     return float(np.median(ratio)) if abs(halves[0] - halves[1]) < 2 + 0.1 * abs(halves[0]) else 0.0
 
 
-def channels(
-    levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample
-) -> tuple[Finding, list[int]]:
+def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample) -> tuple[Finding, list[int]]:
     """Channels unlike the others: of another level, or with echoes that no other has; and which.
 
     coherence : (channel, channel)

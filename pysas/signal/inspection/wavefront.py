@@ -182,7 +182,7 @@ def _by_phase(echo: Echo, place: FloatArray, range_free: bool = False) -> FloatA
 def lateness(found: Fit) -> tuple[float, float]:
     """By how much delays are later than the curvature of the wavefront says, and the standard error of that, s.
 
-    Infinite where phases leave the range open, as on a level circle, where another depth does as well.
+    Infinite where phases leave the range open, as on a level circle, where another depth does as well, or fit no better for it.
     """
     echo = found.echo
     place = _by_phase(echo, found.place, range_free=True)
@@ -197,4 +197,19 @@ def lateness(found: Fit) -> tuple[float, float]:
     error = float(np.sqrt(np.sum((gain[told] * noise / values[told]) ** 2)))
     if np.linalg.norm(gain[~told]) > 1e-3 * np.linalg.norm(gain):
         error = np.inf
+    held, free = 1 - found.coherence, 1 - echo.coherence(place)
+    if held < 3e-3 or free > held / 2:
+        error = np.inf
     return float(np.median(echo.delay - echo.travel(place))), error
+
+
+def swapped(found: Fit) -> int | None:
+    """A channel that with the next one's place explains the phases far better; None: there is none."""
+    left = 1 - found.coherence
+    for channel in range(found.echo.rx.shape[1] - 1):
+        order = np.arange(found.echo.rx.shape[1])
+        order[[channel, channel + 1]] = channel + 1, channel
+        other = replace(found.echo, rx=found.echo.rx[:, order])
+        if 1 - other.coherence(_by_phase(other, found.place)) < 0.2 * left - 1e-3:
+            return channel
+    return None
