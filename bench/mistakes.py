@@ -1,12 +1,10 @@
 """Which mistakes `pysas check` names, on how many scenes: `python -m bench.mistakes` prints docs/check.md.
 
-Each mistake is made with each of twenty simulated scenes and three files that this project did not make, where the data can show
-it (`Mistake.shown` says where they can), and must be named in the words beside it; good data must be told nothing.
+Each mistake is made with each of twenty simulated scenes and three files that this project did not make, where the data can
+show it (`Mistake.shown` says where), and must be named in the words beside it; good data must be told nothing.
 """
 
 import re
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -333,3 +331,81 @@ def named(mistake, echoes):
     """Whether it is named, and all that is said."""
     said = spoken(echoes)
     return any(re.search(mistake.says, f"{name}: {text}") for name, _, text in said), said
+
+
+HEAD = """# What `pysas check` sees
+
+Written by `python -m bench.mistakes --write docs/check.md`. Every mistake is made with every scene that can show it: twenty
+simulated ones (lines, swaying lines and arcs; 1, 6 and 16 receivers; points, speckle, both, rippled sand; 20 to -5 dB; raw and
+compressed; as low as a third of the nearest range) and, where PYSAS_DATA names their folder, two surveys simulated by another
+program and a measured radar scene. `named`: a finding that is not ok says it in words that name it.
+
+"""
+TAIL = """
+`FAIL` ends with exit code 1: no image of such data can be right. `warn`: an image is worse than it could be, or may be.
+`pysas image` prints both before it begins. In Python: `pysas.inspection.inspect(echoes)`.
+
+## How
+
+- Navigation, sampling, beam and pulse are checked by themselves, all samples are read once for the level, mean, largest value
+  and constancy of every trace, and steps of gain are looked for where levels jump.
+- At most 128 consecutive pings of 16 channels about the middle of the survey, at most 512 traces of 4096 samples, are looked at
+  closely: circularity (sum x^2 / sum |x|^2: 1 for real samples), share of energy in the declared band against other bands as
+  wide, kurtosis after the filter for the pulse and for its conjugate, coherence of all these traces with each other.
+- Up to five echoes that stand out five times above their surroundings over 20 pings are followed through 256 pings of 4
+  channels; a place is fitted to their delays and phases. Where none fits, the mistakes that would make one fit are tried.
+
+Time: 10 ns a sample and about half a second beside it, up to two where a mistake of positions is looked for. The same file is
+told the same every time. Pings shuffled farther apart than the 128 that are compared are not seen.
+
+## What data cannot show
+
+- Pings in reverse order, or a track moved as a whole, on a straight line or circle with one receiver: the image is mirrored or
+  moved, and sharp.
+- A lever arm or an attitude forgotten, receivers out of place by less than they tell apart, conjugate data that are compressed
+  and have no pulse: only where an echo stands out over 20 pings (speckle alone fits any smooth track).
+- A start of record that is late: only where the curvature of wavefronts tells the range, so on lines with a long aperture for
+  their range and an echo to follow. On a level circle another depth explains the same phases.
+- Clipping before filters: it has no flat tops after demodulation or compression. Look at the recorder's own samples.
+- Gaps at the same ranges of all pings, which look like a range without echoes.
+- The sweep's sign on speckle that is alike everywhere and longer than the record: nothing stands out with either.
+- Energy beyond the declared band in raw samples that is white: receivers' noise looks so too, and compression removes it.
+
+## Uneven phase centres
+
+An array whose phase centres overlap or miss those of the next ping images each point again, at the angle that `check` names,
+its ghost as strong as said there. `weights="uniform-angle"` in `backproject` and `ffbp` weighs every phase centre by the arc it
+stands for.
+"""
+
+
+def table(seed=0):
+    """Rows of the document, how many good surveys there are, and what was said of them."""
+    good = list(cases(seed))
+    said = {case.name: spoken(case.formed(case.echoes)) for case in good}
+    rows = []
+    for mistake in MISTAKES:
+        found, example, count = [], "", 0
+        for case in (case for case in good if mistake.shown(case)):
+            count += 1
+            right, words = named(mistake, case.with_mistake(mistake))
+            found.append(right)
+            if right and not example:
+                example = next(f"{s} {n}: {t}" for n, s, t in words if re.search(mistake.says, f"{n}: {t}"))
+        rows.append((mistake.name, mistake.where, sum(found), count, example))
+    return rows, said
+
+
+def main():
+    arguments = parser(__doc__).parse_args()
+    rows, said = table()
+    wrong = {name: words for name, words in said.items() if words}
+    lines = [HEAD, "| mistake | can be seen | named | found, on one of the scenes |\n|---|---|---|---|\n"]
+    lines += [f"| {name} | {where} | {right} of {count} | {example} |\n" for name, where, right, count, example in rows]
+    lines.append(f"\nOf the same {len(said)} scenes without a mistake {len(wrong)} are told one")
+    lines.append("".join(f"; {name}: {words}" for name, words in wrong.items()) + ".\n")
+    write("".join(lines) + TAIL, arguments.write)
+
+
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+import warnings
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
 from pysas.signal import compression
+from pysas.signal.inspection import inspect
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -37,6 +39,9 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     require_places([arguments.raw, arguments.grid], data=arguments.output, picture=arguments.png, overwrite=arguments.overwrite)
     echoes = load_echoes(arguments.raw)
     grid, how = chosen_grid(arguments, echoes)
+    for finding in inspect(echoes):
+        if finding.state != "ok" and finding.name != "finite samples":  # which --nan decides about
+            warnings.warn(f"{finding.name}: {finding.text}", stacklevel=1)
     picture, _, summary = imaged(
         arguments.raw, echoes, grid, how, progress, tol=arguments.tol, method=arguments.method, backend=arguments.backend,
         nan=arguments.nan, threads=arguments.threads, output=arguments.output, png=arguments.png,

@@ -170,8 +170,10 @@ def sweep(sample: Sample) -> Finding:
 
 def _sure(gain: FloatArray) -> int:
     """Sign of a mean that stands out, else 0."""
-    error = float(np.std(gain)) / np.sqrt(max(gain.size / 2, 1.0))
-    mean = float(np.mean(gain)) if gain.size > 4 else 0.0
+    if gain.size < 5:
+        return 0
+    error = float(np.std(gain)) / np.sqrt(gain.size / 2)
+    mean = float(np.mean(gain))
     return int(np.sign(mean)) if abs(mean) > max(0.02, _SWEPT * error) else 0
 
 

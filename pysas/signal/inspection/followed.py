@@ -129,8 +129,9 @@ def explained(sample: Sample) -> tuple[Finding, bool]:
     right, wrong = sum(v >= _RIGHT for v in agreed), sum(v < _WRONG for v in agreed)
     if wrong > 2 * right:
         return _guilty(sample, echoes, max(agreed)), True
-    times = [lateness(found) for found in fits if found.coherence >= _RIGHT]
-    sure = [late for late, error in times if abs(late) > _SURE * error and abs(late) > 2 / sample.echoes.occupied_bandwidth]
+    times = sorted((len(f.echo.delay), *lateness(f)) for f in fits if f.coherence >= _RIGHT)
+    least = 2 / sample.echoes.occupied_bandwidth
+    sure = [late for _, late, error in times if abs(late) > max(_SURE * error, least)]
     text = f"{right} of {len(fits)} echoes followed fit a place (coherence {max(agreed):.2f})"
     pairs = [swapped(found) for found in fits]
     if pairs[0] is not None and pairs.count(pairs[0]) > len(pairs) / 2:
@@ -139,8 +140,9 @@ def explained(sample: Sample) -> tuple[Finding, bool]:
         return Finding("positions", "FAIL", f"{words}: receivers are shuffled: reorder channels or rx"), True
     if sure:
         late = float(np.median(sure))
-        able = sum(_SURE * error < abs(late) for _, error in times)
-        if len(sure) >= 0.6 * able and np.ptp(sure) < 0.5 * abs(late):
+        able = sum(_SURE * error < abs(late) for _, _, error in times)
+        # what is seen from most places knows best
+        if len(sure) >= 0.6 * able and sure[-1] == times[-1][1] and np.ptp(sure) < 0.5 * abs(late):
             return Finding("positions", "warn", f"{text}, but {_delayed(late, fits[0].echo.c)}"), True
     return Finding("positions", "ok", text), right > 0
 

@@ -120,7 +120,7 @@ def _starts(echo: Echo) -> list[FloatArray]:
     near = np.abs(along) <= 0.5 * reach
     slope = np.polyfit(along[near], echo.delay.mean(axis=1)[near], 1)[0] if np.ptp(along[near]) > 0 else 0.0
     aside = float(np.clip(-echo.c / 2 * slope, -0.95, 0.95))
-    turns = np.arange(12) * np.pi / 6
+    turns = (np.arange(12) + 0.5) * np.pi / 6  # not in a bent track's own plane, which no step leaves
     around = np.cos(turns)[:, None] * frame[1] + np.sin(turns)[:, None] * frame[2]
     return list(middle + reach * (aside * frame[0] + np.sqrt(1 - aside**2) * around))
 
