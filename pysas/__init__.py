@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
-    from pysas.signal import inspection
     from pysas.signal.compression import compress
+    from pysas.signal.inspection import Finding, inspect
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
     from pysas.survey.strips import Strip
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular", "comparison",
-    "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspection", "load", "metrics",
-    "plan", "plot", "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
+    "comparison", "compress", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect", "load",
+    "metrics", "plan", "plot", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
@@ -46,12 +46,12 @@ _MODULES = {
     "model.image": ("Image", "Report"),
     "model.pulse": ("LFM",),
     "signal.compression": ("compress",),
+    "signal.inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),
     "survey.strips": ("Strip",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-_PLACES = {"inspection": "signal.inspection"}  # modules that do not stand directly in here
 _LOADING = threading.RLock()
 
 if not TYPE_CHECKING:  # a checker shall know of no other names
@@ -60,8 +60,7 @@ if not TYPE_CHECKING:  # a checker shall know of no other names
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         with _LOADING:
-            place = _PLACES.get(name) or _MODULE_OF.get(name, name)
-            module = importlib.import_module(f"{__name__}.{place}")
+            module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
             globals()[name] = getattr(module, name) if name in _MODULE_OF else module
         return globals()[name]
 

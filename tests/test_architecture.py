@@ -29,7 +29,7 @@ OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
     "backproject", "ffbp", "focus", "plan", "simulate", "compress", "load", "save", "from_phase_history", "show_config",
-    "get_include", "get_library",
+    "get_include", "get_library", "inspect",
 }  # fmt: skip
 
 

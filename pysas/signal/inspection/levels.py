@@ -26,8 +26,8 @@ class Levels:
         Ping, channel and sample of the first value that is not finite.
     finite : bool
         All its samples are.
-    power : float64
-        Mean of |sample|^2.
+    rms : float64
+        Root of the mean of |sample|^2.
     mean : complex128
         Mean of the samples.
     top : float64
@@ -42,7 +42,7 @@ class Levels:
 
     bad: tuple[int, int, int] | None
     finite: Bool
-    power: FloatArray
+    rms: FloatArray
     mean: npt.NDArray[np.complex128]
     top: FloatArray
     at_top: npt.NDArray[np.int64]
@@ -59,7 +59,7 @@ def measured(echoes: Echoes) -> Levels:
     """The levels of all traces; O(samples), in blocks of 2^20 of them. Those that are not finite have no level: 0."""
     shape = echoes.traces.shape[:2]
     columns: dict[str, npt.NDArray[Any]] = {
-        "finite": np.zeros(shape, dtype=bool), "power": np.zeros(shape), "mean": np.zeros(shape, dtype=complex),
+        "finite": np.zeros(shape, dtype=bool), "rms": np.zeros(shape), "mean": np.zeros(shape, dtype=complex),
         "top": np.zeros(shape), "at_top": np.zeros(shape, dtype=np.int64), "constant": np.zeros(shape, dtype=bool),
         "real": np.zeros(shape, dtype=bool),
     }  # fmt: skip
@@ -78,7 +78,8 @@ def measured(echoes: Echoes) -> Levels:
             bad = (int(first[0]) + ping, int(first[1]), int(first[2]))
         with np.errstate(invalid="ignore", over="ignore"):
             scale = np.where(finite & (top > 0), top, 1.0)
-            columns["power"][rows] = np.where(finite, np.mean(np.square(parts / scale[..., None]), axis=-1) * 2 * scale**2, 0)
+            mean = np.mean(np.square(parts / scale[..., None]), axis=-1)
+            columns["rms"][rows] = np.where(finite, scale * np.sqrt(2 * mean), 0)
             columns["mean"][rows] = np.where(finite, traces.mean(axis=-1, dtype=complex), 0)
             columns["constant"][rows] = finite & np.all(traces == traces[..., :1], axis=-1)
         columns["finite"][rows] = finite

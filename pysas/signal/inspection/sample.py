@@ -143,6 +143,8 @@ def chosen(
         traces = traces[..., first : first + MOST_SAMPLES]
     found = np.array(np.where(good[..., None], traces, 0), dtype=echoes.dtype)
     top = float(max(np.abs(found.real).max(), np.abs(found.imag).max()))
-    if top > 0:
-        found /= found.real.dtype.type(top)  # squares of what float32 holds it may not hold
+    if top > 0:  # squares of what float32 holds it may not hold
+        kind = found.real.dtype
+        limit = np.finfo(kind).maxexp - 2
+        found *= np.ldexp(kind.type(1), -int(np.clip(np.frexp(top)[1], -limit, limit)))
     return Sample(echoes, ping, channel, first, found)

@@ -78,13 +78,13 @@ def evenness(echoes: Echoes) -> Finding:
     if level > _GHOST:
         degrees = np.degrees(np.arcsin(min(1.0, order * wavelength / (2 * advance))))
         text = f"the array's {length:.3g} m of phase centres overlap or miss those of the next ping {advance:.3g} m on"
-        text += f": ghosts of {level:.0f} dB at {degrees:.2g} deg"
+        text += f": ghosts of {level:.0f} dB of each point's energy {degrees:.2g} deg aside"
         return Finding("phase centres", "warn", f"{text}: weights='uniform-angle' evens them out, or weights of their gaps")
     return Finding("phase centres", "ok", f"{echoes.n_channel} a ping, evenly spread")
 
 
 def _ghost(offset: FloatArray, advance: float, element: float) -> tuple[float, int]:
-    """Level (dB) and order of the strongest line among those that as many even phase centres would cancel.
+    """Energy (dB of a point's) and order of the strongest line among those that as many even phase centres would cancel.
 
     A line of order m images a point m wavelength/(2 advance) aside in the sine, where an element lights it by sinc^2 both ways;
     its length is twice the spacing of even phase centres unless a beam is given.

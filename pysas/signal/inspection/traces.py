@@ -52,8 +52,10 @@ def silent(levels: Levels) -> Finding:
 
 def offset(echoes: Echoes, levels: Levels) -> Finding:
     """A constant beside the echoes: a converter's zero, which after demodulation looks like a tone at fc."""
-    power = np.sum(levels.power, axis=0)
-    share = np.abs(levels.mean.sum(axis=0)) ** 2 / levels.finite.shape[0] / np.where(power > 0, power, np.inf)
+    scale = float(levels.top.max())
+    power = np.sum((levels.rms / scale) ** 2, axis=0)
+    mean = np.abs((levels.mean / scale).sum(axis=0))
+    share = mean**2 / levels.finite.shape[0] / np.where(power > 0, power, np.inf)
     few = 10 * echoes.fs / (echoes.occupied_bandwidth * echoes.n_sample)  # a short record's mean is an echo's
     # of many pings: one echo's mean turns from ping to ping
     most = max(_OFFSET, few, 10 / echoes.n_ping)
@@ -109,9 +111,7 @@ def _tied(sample: Sample) -> tuple[int, int]:
 
 def gain(echoes: Echoes, levels: Levels) -> Finding:
     """Steps of gain: every sample of a ping is larger than before by one factor, noise and echoes alike."""
-    power = np.where(levels.sounding, levels.power, np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        decibels = 10 * np.log10(power)
+    decibels = 20 * np.log10(np.where(levels.sounding, levels.rms, np.nan))
     step = np.abs(np.diff(decibels, axis=0))
     steps = np.argwhere(np.nan_to_num(step) > _STEP)
     if steps.size == 0:
@@ -130,6 +130,7 @@ def gain(echoes: Echoes, levels: Levels) -> Finding:
 def _ratio(echoes: Echoes, ping: int, channel: int) -> float:
     """Median over the samples of the ratio of a ping to the one before, dB; 0 where samples do not agree on it."""
     pair = np.abs(np.asarray(echoes.traces[ping : ping + 2, channel]).astype(np.complex128))
+    pair /= pair.max()
     both = (pair > 0).all(axis=0)
     if np.count_nonzero(both) < 32 or np.count_nonzero(both) < 0.5 * np.count_nonzero(pair.any(axis=0)):
         return 0.0
@@ -151,9 +152,9 @@ def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float],
     sounding = levels.sounding & ~levels.constant
     if sounding.shape[1] < 3 or not sounding.any():
         return Finding("channels", "ok", f"{sounding.shape[1]}"), []
-    power = np.where(sounding, levels.power, np.nan)
+    rms = np.where(sounding, levels.rms, np.nan)
     alive = np.flatnonzero(sounding.any(axis=0))
-    level = 10 * np.log10(np.nanmedian(power[:, alive], axis=0))
+    level = 20 * np.log10(np.nanmedian(rms[:, alive], axis=0))
     off = level - np.median(level)
     which = [int(alive[i]) for i in np.flatnonzero(np.abs(off) > _LOUD)]
     said = [f"channel {alive[i]} is {off[i]:+.3g} dB from the others" for i in np.flatnonzero(np.abs(off) > _LOUD)]
