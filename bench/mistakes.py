@@ -355,7 +355,7 @@ TAIL = """
 - Up to five echoes that stand out five times above their surroundings over 20 pings are followed through 256 pings of 4
   channels; a place is fitted to their delays and phases. Where none fits, the mistakes that would make one fit are tried.
 
-Time: 10 ns a sample and about half a second beside it, up to two where a mistake of positions is looked for. The same file is
+Time: 30 ns a sample and about half a second beside it, up to two where a mistake of positions is looked for. The same file is
 told the same every time. Pings shuffled farther apart than the 128 that are compared are not seen.
 
 ## What data cannot show

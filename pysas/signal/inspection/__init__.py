@@ -39,7 +39,7 @@ def inspect(echoes: Echoes) -> list[Finding]:
 
     Notes
     -----
-    One pass over the samples for levels, 10 ns each; beside it about half a second, whatever the file. The same file is told
+    One pass over the samples for levels, 30 ns each; beside it half a second to two, whatever the file. The same file is told
     the same every time. docs/check.md has what each check can see, and what the data cannot show.
     """
     if not isinstance(echoes, Echoes):

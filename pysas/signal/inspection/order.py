@@ -81,13 +81,34 @@ def _receivers(sample: Sample, coherence: FloatArray, usual: float, spread: floa
     distance = np.linalg.norm(sample.rx.mean(axis=0)[:, None] - sample.rx.mean(axis=0), axis=-1)
     best, beside = inside.max(axis=1), np.where(_near(distance, _NEAREST[0]), inside, 0).max(axis=1)
     partner = best - usual > _SURE * spread / np.sqrt(pings / 2)
-    apart = partner & (beside - usual < 0.42 * (best - usual))
+    apart = partner & (beside - usual < 0.6 * (best - usual))
     if np.count_nonzero(apart) < max(3, 0.5 * count):
+        return None
+    # in another order they are a chain, and not in this one: what a few points have in common is neither
+    given, chained = (_links(inside - usual, by) for by in (np.argsort(_along(sample)), _chain(inside - usual)))
+    if given > 0.5 * chained or chained < 0.8 * float(np.mean(best - usual)):
         return None
     first = int(np.argmax(apart))
     text = f"{np.count_nonzero(apart)} of {count} receivers are most like others than those beside them"
     text += f", first channel {sample.channels[first]} like channel {sample.channels[int(np.argmax(inside[first]))]}"
     return Finding("order", "FAIL", f"{text}: receivers are shuffled against rx: reorder channels or rx")
+
+
+def _along(sample: Sample) -> FloatArray:
+    """Where receivers stand along their array, m."""
+    places = sample.rx.mean(axis=0) - sample.rx.mean(axis=(0, 1))
+    return np.asarray(places @ np.linalg.svd(places, full_matrices=False)[2][0])
+
+
+def _chain(alike: FloatArray) -> npt.NDArray[np.intp]:
+    """The order in which the most alike stand side by side: the Fiedler vector's."""
+    weight = np.where(np.eye(len(alike), dtype=bool), 0, np.maximum(alike, 0)) ** 2
+    return np.argsort(np.linalg.eigh(np.diag(weight.sum(axis=1)) - weight)[1][:, 1])
+
+
+def _links(alike: FloatArray, by: npt.NDArray[np.intp]) -> float:
+    """Mean of what those side by side in an order have in common."""
+    return float(np.mean(alike[by[:-1], by[1:]]))
 
 
 def _transposed(sample: Sample, coherence: FloatArray, usual: float, spread: float) -> Finding | None:
