@@ -286,7 +286,7 @@ MISTAKES = (
     Mistake("interference beside the band", tone, "band:.*interference", raw, RAW),
     Mistake(
         "motion during a long pulse",
-        {"duration": 10e-3, "speed": 6.0},
+        {"duration": 10e-3, "speed": 10.0},
         "Doppler:",
         lambda c: simulated(c) and c.path == "line",
         "straight tracks",
