@@ -103,6 +103,20 @@ def noisy(**changes: Any) -> pysas.Echoes:
     return pysas.Echoes(fields.pop("data"), **fields)
 
 
+@pytest.mark.parametrize("pings", [8, 33, 140])
+@pytest.mark.parametrize("channels", [1, 4, 16])
+def test_noise_is_told_nothing(pings: int, channels: int) -> None:
+    """White noise has no order, sweep or place: by chance some pings are alike."""
+    rng = np.random.default_rng([pings, channels])
+    tx = np.stack([0.05 * channels * np.arange(pings), 0.1 * np.sin(np.arange(pings) / 20), np.full(pings, 5.0)], axis=1)
+    rx = tx[:, None] + np.arange(channels)[:, None] * np.array([0.1, 0.0, 0.0])
+    for n in (60, 400):
+        data = rng.standard_normal((2, pings, channels, n)).astype(np.float32)
+        echoes = noisy(data=data[0] + 1j * data[1], tx=tx, rx=rx)
+        assert mistakes.spoken(echoes) == []
+        assert mistakes.spoken(pysas.compress(echoes)) == []
+
+
 @pytest.mark.parametrize(("single", "double"), [(1e-35, 1e-300), (1e36, 1e300)])
 def test_levels_of_any_size(single: float, double: float) -> None:
     """Squares of which neither dtype holds."""

@@ -151,9 +151,11 @@ def sweep(sample: Sample) -> Finding:
     text = f"kurtosis {np.median(right[heard]):.3g} with the pulse, {np.median(wrong[heard]):.3g} with its conjugate"
     gain = np.log(wrong[heard] / right[heard])
     by_ping = np.where(heard.any(axis=1), np.median(np.where(heard, np.log((wrong + 1e-9) / (right + 1e-9)), 0), axis=1), 0)
-    share = float(np.mean(by_ping > _CLEAR))
+    # what a short record may have by chance
+    clear = max(_CLEAR, 6 / np.sqrt(sample.traces.shape[-1] * sample.band[1] / sample.echoes.fs))
+    share = float(np.mean(by_ping > clear))
     turns = [_sure(by_ping[first::2]) for first in (0, 1)]
-    if min(share, float(np.mean(by_ping < -_CLEAR))) > 0.1 or min(turns) < 0 < max(turns):
+    if min(share, float(np.mean(by_ping < -clear))) > 0.1 or min(turns) < 0 < max(turns):
         words = f"{text}; ping {sample.pings[int(np.argmax(by_ping))]} fits the conjugate, ping "
         words += f"{sample.pings[int(np.argmin(by_ping))]} the pulse: up and down sweeps in turn"
         return Finding("sweep", "FAIL", f"{words}: compress each with its own pulse")

@@ -14,7 +14,7 @@ from pysas.signal.inspection.finding import Finding
 from pysas.signal.inspection.sample import Sample
 
 _NEAREST = (2, 4)  # receivers, and pings, about each among which its partner must be
-_STANDS_OUT = 3.8  # robust standard deviations; the best of a hundred by chance: 2.8, of a tenth of them more than this
+_STANDS_OUT = 3.8  # robust standard deviations; the best of a hundred by chance: 2.8, of a fifth of them more than this
 _SURE = 5.0  # standard errors
 _MISPLACED = 0.1  # share of pings with a partner elsewhere
 _PAIRS = 12
@@ -156,7 +156,7 @@ def _pings(sample: Sample, coherence: FloatArray, usual: float, spread: float) -
     partner = best - row > _STANDS_OUT * scatter
     apart = partner & (beside - row < 0.4 * (best - row))
     clear, elsewhere = float(partner.mean()), float(apart.mean())
-    if not (elsewhere > 0.6 * clear > 0.12 or (clear > 0.4 and elsewhere > _MISPLACED)) or np.count_nonzero(apart) < 4:
+    if not (elsewhere > 0.6 * clear > 0.2 or (clear > 0.4 and elsewhere > _MISPLACED)) or np.count_nonzero(apart) < 4:
         return None
     first = int(np.argmax(apart))
     there = int(np.nanargmax(alike[first]))

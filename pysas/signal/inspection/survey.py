@@ -33,7 +33,7 @@ def units(echoes: Echoes) -> Finding:
 
 
 def _quantum(places: FloatArray) -> tuple[float, bool]:
-    """The largest step of which all coordinates of an axis are multiples, though they are not even, or 0; and if float32 has it."""
+    """The largest step of which all of an axis are multiples, though they are not even, or 0; and whether that is float32's."""
     most, coarse = 0.0, False
     for axis in places.T:
         bends = np.abs(np.diff(axis, 2))
