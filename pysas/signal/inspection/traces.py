@@ -115,8 +115,14 @@ def _tied(sample: Sample) -> tuple[int, int]:
 def gain(echoes: Echoes, levels: Levels) -> Finding:
     """Steps of gain: every sample of a ping is larger than before by one factor, noise and echoes alike."""
     decibels = 20 * np.log10(np.where(levels.sounding, levels.rms, np.nan))
-    step = np.abs(np.diff(decibels, axis=0))
-    steps = np.argwhere(np.nan_to_num(step) > _STEP)
+    change = np.diff(decibels, axis=0)
+    step = np.abs(change)
+    # a level that goes on changing is an echo's in a beam; gains stay, or come back
+    around = np.pad(change, ((1, 1), (0, 0)))
+    stays = np.ones(change.shape, dtype=bool)
+    for other in (around[:-2], around[2:]):
+        stays &= (np.abs(other) < step / 4) | ((other * change < 0) & (np.abs(other) > step / 2))
+    steps = np.argwhere((np.nan_to_num(step) > _STEP) & stays)
     if steps.size == 0:
         return Finding("gain", "ok", f"largest step {np.nanmax(step, initial=0):.2g} dB from ping to ping")
     at = steps[np.unique(np.linspace(0, len(steps) - 1, min(len(steps), 32)).astype(int))]
@@ -138,10 +144,12 @@ def _ratio(echoes: Echoes, ping: int, channel: int) -> float:
     if np.count_nonzero(both) < 32 or np.count_nonzero(both) < 0.5 * np.count_nonzero(pair.any(axis=0)):
         return 0.0
     ratio = 20 * np.log10(pair[1, both] / pair[0, both])
-    # of quiet and of loud samples: an echo that comes into the beam leaves the rest as it was
+    # quiet and loud samples, near and far ones alike: an echo that comes into the beam leaves the rest as it was
     loud = pair[:, both].prod(axis=0)
-    halves = [float(np.median(ratio[which])) for which in (loud <= np.median(loud), loud > np.median(loud))]
-    return float(np.median(ratio)) if abs(halves[0] - halves[1]) < 2 + 0.1 * abs(halves[0]) else 0.0
+    place = np.arange(ratio.size)
+    parts = (loud <= np.median(loud), loud > np.median(loud), *(place * 4 // ratio.size == quarter for quarter in range(4)))
+    medians = [float(np.median(ratio[part])) for part in parts]
+    return float(np.median(ratio)) if np.ptp(medians) < max(1.0, 60 / np.sqrt(ratio.size)) else 0.0
 
 
 def channels(levels: Levels, coherence: FloatArray, chance: tuple[float, float], sample: Sample) -> tuple[Finding, list[int]]:
