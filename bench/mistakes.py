@@ -338,7 +338,7 @@ HEAD = """# What `pysas check` sees
 Written by `python -m bench.mistakes --write docs/check.md`. Every mistake is made with every scene that can show it: twenty
 simulated ones (lines, swaying lines and arcs; 1, 6 and 16 receivers; points, speckle, both, rippled sand; 20 to -5 dB; raw and
 compressed; as low as a third of the nearest range) and, where PYSAS_DATA names their folder, two surveys simulated by another
-program and a measured radar scene. `named`: a finding that is not ok says it in words that name it.
+program and a measured radar scene. `named`: a finding that is not ok says it.
 
 """
 TAIL = """
