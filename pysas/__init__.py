@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pysas.model.pulse import LFM
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
+    from pysas.signal.inspection import Finding, inspect
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
     from pysas.survey.strips import Strip
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
-    "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "load",
-    "load_echoes", "load_image", "metrics", "navigation", "plan", "plot", "read_table", "reference", "save", "show_config",
-    "simulate", "simulation", "tracks",
+    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
+    "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect",
+    "load", "load_echoes", "load_image", "metrics", "navigation", "plan", "plot", "read_table", "reference", "save",
+    "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
@@ -50,6 +51,7 @@ _MODULES = {
     "model.pulse": ("LFM",),
     "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
+    "signal.inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),
     "survey.strips": ("Strip",),

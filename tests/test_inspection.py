@@ -43,10 +43,43 @@ def samples(index: Any, value: complex) -> pysas.Echoes:
     return survey(data=data)
 
 
-def clipped() -> pysas.Echoes:
+def clipped(gain: Any = 1.0) -> pysas.Echoes:
     data = survey().data.copy()
     data.real, data.imag = np.clip(data.real, -2, 2), np.clip(data.imag, -2, 2)
+    return survey(data=(data * gain).astype(np.complex64))
+
+
+def samples_times(factor: float, pings: slice) -> pysas.Echoes:
+    data = survey().data.copy()
+    data[pings] *= factor
     return survey(data=data)
+
+
+def plus(constant: complex) -> pysas.Echoes:
+    return survey(data=survey().data + np.complex64(constant))
+
+
+def gap() -> pysas.Echoes:
+    return samples((7, 1, slice(60, 160)), 0)
+
+
+def rounded(step: float) -> pysas.Echoes:
+    """Positions of one receiver at the transmitter, to so many metres."""
+    good = survey()
+    tx = np.round(good.tx / step) * step
+    return survey(data=good.data[:, 0], tx=tx, rx=tx)
+
+
+def single() -> pysas.Echoes:
+    good = survey()
+    tx = (good.tx + [5e5, 6.6e6, 0]).astype(np.float32)
+    return survey(data=good.data[:, 0], tx=tx, rx=tx)
+
+
+def overlap() -> pysas.Echoes:
+    """Three phase centres 0.05 m apart in steps of 0.11 m."""
+    tx = np.stack([0.11 * np.arange(60.0), np.zeros(60), np.zeros(60)], axis=1)
+    return survey(tx=tx, rx=tx[:, None] + np.array([0.1, 0.2, 0.3])[:, None] * np.array([1.0, 0, 0]))
 
 
 def yawing(by: float = 0.4) -> np.ndarray:
@@ -69,11 +102,23 @@ FAULTS: dict[str, tuple[pysas.Echoes, str, str, str]] = {
     "dead channel": (samples((slice(None), 2), 0), "silent traces", "warn", "first at ping 0, channel 2; dead channels 2"),
     "lost trace": (samples((5, 1), 0), "silent traces", "warn", "1 of 180, first at ping 5, channel 1"),
     "clipped": (clipped(), "clipping", "warn", "largest value 2"),
+    "clipped, then amplified": (clipped(np.linspace(1, 9, 200)), "clipping", "warn", "before a gain that varies with time"),
+    "stuck channel": (samples((slice(None), 1), 0.4 - 0.1j), "silent traces", "warn", "stuck channels 1"),
+    "gap": (gap(), "gaps", "warn", "first at ping 7, channel 1, samples 60 to 159"),
+    "gain": (samples_times(4.0, slice(30, None)), "gain", "warn", "step of +11.8 dB first at ping 30"),
+    "constant": (plus(0.5 + 0.5j), "offset", "warn", "is a constant"),
+    "cast": (survey(data=survey().data.real.astype(np.complex64)), "base-band", "FAIL", "cast to complex"),
+    "one signal twice": (survey(data=(survey().data.real * (1 + 1j)).astype(np.complex64)), "base-band", "FAIL", "I and Q"),
+    "degrees": (survey(tx=survey().tx * 1e-5 + [10, 60, 0], rx=survey().rx * 1e-5 + [10, 60, 0]), "units", "FAIL", "latitude"),
+    "rounded": (rounded(0.01), "units", "FAIL", "multiples of 0.01 m"),
+    "single": (single(), "units", "FAIL", "multiples of 0.0312 m (float32 holds no more)"),
+    "long pulse, fast": (survey(velocity=np.full((60, 3), [60.0, 0, 0])), "Doppler", "warn", "60 m/s for a pulse of 0.001 s"),
+    "overlap": (overlap(), "phase centres", "warn", "ghosts of"),
     "time stands still": (survey(ping_time=np.repeat(np.arange(30.0), 2)), "ping times", "FAIL", "ping 1"),
     "sway of one ping": (moved("tx", 20, (0, 0.05, 0)), "track", "FAIL", "first at ping 20"),
     "a step up": (moved("tx", slice(40, None), (0, 0, 0.05)), "track", "FAIL", "first at ping 40"),
     "repeated position": (survey(tx=survey().tx[[*range(30), 29, *range(31, 60)]]), "track", "warn", "first at ping 30"),
-    "gap": (missing_ping(), "track", "warn", "before ping 30"),
+    "missing ping": (missing_ping(), "track", "warn", "before ping 30"),
     "one receiver": (moved("rx", (20, 1), (0, 0.05, 0)), "receivers", "FAIL", "ping 20, channel 1"),
     "pulse too long": (survey(pulse=pysas.LFM(FC, 3e4, 0.1)), "pulse", "FAIL", "longer than the record"),
     "pulse beside the band": (survey(fc=115e3, bandwidth=3e4), "pulse", "FAIL", "beyond what fs 40000 Hz holds"),
@@ -106,7 +151,7 @@ def test_each_fault_is_found_where_it_is(fault: str) -> None:
     found = findings(echoes)
     assert found[name][0] == state and text in found[name][1]
     # a moved transmitter is also one against its receivers; a faulty navigation point shows in the spacing too
-    assert found.keys() - {name} <= {"track", "receivers", "along-track sampling"}
+    assert found.keys() - {name} <= {"track", "receivers", "along-track sampling"}, found
 
 
 def test_a_sound_beam_is_described() -> None:
@@ -126,7 +171,8 @@ def test_a_sound_beam_is_described() -> None:
 
 
 def test_silence_and_noise_without_a_finite_sample() -> None:
-    assert findings(samples(slice(None), 0))["finite samples"] == ("FAIL", "all samples are zero")
+    state, text = findings(samples(slice(None), 0))["finite samples"]
+    assert state == "FAIL" and text.startswith("all samples are zero")
     assert findings(samples(slice(None), np.nan))["finite samples"][0] == "FAIL"
 
 

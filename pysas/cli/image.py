@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import json
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from pysas.model.image import Image
 from pysas.model.pulse import LFM
 from pysas.planning.scene import UNIFORM
 from pysas.signal import compression
+from pysas.signal.inspection import inspect
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,9 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     grid, how = chosen_grid(arguments, echoes)
     names = [field.name for field in dataclasses.fields(Choices)]
     choices = Choices(**{name: getattr(arguments, name) for name in names})
+    for finding in inspect(echoes):
+        if finding.state != "ok" and finding.name != "finite samples":  # which --nan decides about
+            warnings.warn(f"{finding.name}: {finding.text}", stacklevel=1)
     picture, _, summary = imaged(
         arguments.raw, echoes, grid, how, progress, choices, output=output, png=png, overwrite=arguments.overwrite
     )

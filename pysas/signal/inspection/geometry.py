@@ -1,8 +1,6 @@
-"""Consistency checks of echoes, one finding each: what `pysas check` prints."""
+"""What positions, sampling, beam and pulse say about themselves, without a look at the samples."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,76 +8,12 @@ from pysas._checks import FloatArray
 from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
+from pysas.signal.inspection.finding import Finding
 
 _AHEAD = 45.0  # degrees from broadside, beyond which a beam looks along the track
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One check: its name, "ok", "warn" or "FAIL", and what was found."""
-
-    name: str
-    state: str
-    text: str
-
-
-def inspect(echoes: Echoes) -> list[Finding]:
-    """All checks, in the order a person would fix things, of what was recorded; O(samples)."""
-    echoes = echoes.whole()
-    return [
-        _finite(echoes),
-        _silent(echoes),
-        _clipped(echoes),
-        _times(echoes),
-        _range_sampling(echoes),
-        _along_track(echoes),
-        _beam(echoes),
-        _track(echoes),
-        _receivers(echoes),
-        _pulse(echoes),
-    ]
-
-
-def _finite(echoes: Echoes) -> Finding:
-    for ping, traces in enumerate(echoes.traces):
-        good = np.isfinite(traces)
-        if not good.all():
-            channel, sample = (int(i) for i in np.argwhere(~good)[0])
-            return Finding("finite samples", "FAIL", f"non-finite first at ping {ping}, channel {channel}, sample {sample}")
-    if not any(np.any(traces) for traces in echoes.traces):
-        return Finding("finite samples", "FAIL", "all samples are zero")
-    return Finding("finite samples", "ok", f"{echoes.data.size} samples")
-
-
-def _silent(echoes: Echoes) -> Finding:
-    """Traces without a sound: a dead channel, or pings that were not stored."""
-    silent = np.array([~np.any(traces, axis=-1) for traces in echoes.traces])
-    if not silent.any():
-        return Finding("silent traces", "ok", "none")
-    ping, channel = (int(i) for i in np.argwhere(silent)[0])
-    dead = [str(i) for i in np.flatnonzero(silent.all(axis=0))]
-    text = f"{np.count_nonzero(silent)} of {silent.size}, first at ping {ping}, channel {channel}"
-    return Finding("silent traces", "warn", text + (f"; dead channels {', '.join(dead)}" if dead else ""))
-
-
-def _clipped(echoes: Echoes) -> Finding:
-    """A converter's limit shows as many samples at one largest value."""
-    worst, where = 0, 0
-    top = 0.0
-    for traces in echoes.traces:
-        for part in (traces.real, traces.imag):
-            top = max(top, float(np.max(np.abs(part), where=np.isfinite(part), initial=0.0)))
-    if top > 0:
-        for ping, traces in enumerate(echoes.traces):
-            count = int(np.count_nonzero(np.abs(traces.real) == top) + np.count_nonzero(np.abs(traces.imag) == top))
-            if count > worst:
-                worst, where = count, ping
-    if worst > 3:
-        return Finding("clipping", "warn", f"{worst} samples at the largest value {top:g} in ping {where}")
-    return Finding("clipping", "ok", f"largest value {top:g}")
-
-
-def _times(echoes: Echoes) -> Finding:
+def times(echoes: Echoes) -> Finding:
     if echoes.ping_time is None:
         return Finding("ping times", "ok", "none given")
     steps = np.diff(echoes.ping_time)
@@ -88,7 +22,7 @@ def _times(echoes: Echoes) -> Finding:
     return Finding("ping times", "ok", "increasing")
 
 
-def _range_sampling(echoes: Echoes) -> Finding:
+def range_sampling(echoes: Echoes) -> Finding:
     margin = echoes.fs / echoes.occupied_bandwidth
     text = f"fs is {margin:.4g} x the bandwidth"
     return Finding(
@@ -96,7 +30,7 @@ def _range_sampling(echoes: Echoes) -> Finding:
     )
 
 
-def _along_track(echoes: Echoes) -> Finding:
+def along_track(echoes: Echoes) -> Finding:
     median, largest = echoes.phase_centre_spacing()
     text = f"phase centres every {median:.4g} m, largest gap {largest:.4g} m"
     if echoes.beam is None:
@@ -111,7 +45,7 @@ def _along_track(echoes: Echoes) -> Finding:
     return Finding("along-track sampling", "ok", text + f", within D/4 = {length / 4:.4g} m")
 
 
-def _beam(echoes: Echoes) -> Finding:
+def beam(echoes: Echoes) -> Finding:
     """A beam that looks along the track, or turns within a ping by more than it is wide; where the seabed is nobody knows."""
     beam = echoes.beam
     if beam is None:
@@ -158,7 +92,7 @@ def _between(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(2 * np.arctan2(np.linalg.norm(one - other, axis=1), np.linalg.norm(one + other, axis=1)))
 
 
-def _track(echoes: Echoes) -> Finding:
+def track(echoes: Echoes) -> Finding:
     """Jumps across the track, which no platform makes; repeats and gaps along it, which cost quality but not focus."""
     if echoes.n_ping < 4:
         return Finding("track", "ok", f"{echoes.n_ping} pings")
@@ -181,7 +115,7 @@ def _track(echoes: Echoes) -> Finding:
     return Finding("track", "ok", f"{float(lengths.sum()):.4g} m, largest step {lengths.max():.4g} m")
 
 
-def _receivers(echoes: Echoes) -> Finding:
+def receivers(echoes: Echoes) -> Finding:
     """Jumps of a receiver against the transmitter: the array turns with the platform, smoothly."""
     if echoes.n_ping < 4:
         return Finding("receivers", "ok", f"{echoes.n_ping} pings")
@@ -200,7 +134,7 @@ def _first_jump(bends: FloatArray, echoes: Echoes) -> int | None:
     return int(np.argmax(high)) if high.any() else None
 
 
-def _pulse(echoes: Echoes) -> Finding:
+def pulse(echoes: Echoes) -> Finding:
     if echoes.pulse is None:
         state = "ok" if echoes.compressed else "FAIL"
         return Finding("pulse", state, "none given" + ("" if echoes.compressed else ": raw echoes cannot be compressed"))
