@@ -208,7 +208,7 @@ def test_non_finite_samples():
     echoes = moving(5)
     data = echoes.data.copy()
     data[3, 2, 5] = np.nan
-    data[4, 1, 0] = np.inf
+    data[4, 1, 7] = np.inf
     bad = echoes.replace(data=data)
     with pytest.raises(ValueError, match="ping 3, channel 2"):
         pysas.backproject(bad, SMALL)

@@ -100,6 +100,57 @@ def test_trees_beside_bright_samples_keep_tol_or_are_left(seed):
     assert used in (0, len(BACKENDS))
 
 
+def within_longer_records(echoes, seed=0):
+    """The same echoes as what was recorded of longer ones, which begin at times of their own and hold NaN elsewhere."""
+    pings, n = echoes.data.shape[0], echoes.n_sample
+    first = np.random.default_rng(seed).integers(0, 300, pings)
+    data = np.full((pings, n + 400), np.nan, dtype=echoes.dtype)
+    for ping in range(pings):
+        data[ping, first[ping] : first[ping] + n] = echoes.traces[ping, 0]
+    valid = np.stack([first, first + n - 1], axis=1)
+    return echoes.replace(data=data, t0=echoes.start_time - first / echoes.fs, valid=valid, rx=echoes.receivers[:, 0])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("seed", [2, 3, 7, 8, 1007, 1008])
+def test_ends_of_what_was_recorded_are_a_records_ends(seed, backend):
+    """Blasts that these ends cut: as many sums and trees as of records that end there, and the same choices."""
+    name, echoes, grid = scene(seed)
+    single = echoes.replace(data=echoes.data.astype(np.complex64))
+    both = (single, within_longer_records(single, seed))
+    exact, level = pysas.reference.exact(single, grid)
+    for tol in 10.0 ** -np.random.default_rng(seed).uniform(1, 5, 3):
+        plans = [pysas.plan(e, grid, tol, "backprojection", backend=backend) for e in both]
+        reports = [kept(plan, e.data, exact, level, (name, backend)) for plan, e in zip(plans, both, strict=True)]
+        assert reports[0].choices["wide"] == reports[1].choices["wide"]
+        assert reports[1].predicted_error <= max(tol, 1.5 * reports[0].predicted_error)
+    trees = [with_trees(e, grid, backend) for e in both]
+    shares = [kept(plan, e.data, exact, level, (name,)).factorised_share for plan, e in zip(trees, both, strict=True)]
+    assert shares[0] == shares[1]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_rings_of_what_was_recorded_is_part_of_the_image(backend):
+    """As of a record's own bright start; samples that were not recorded are no numbers, and take no part."""
+    echoes, grid = straight(32), pysas.Grid.plane(np.arange(-12, 12) * 0.02, 19.0 + np.arange(24) * 0.02)
+    data = echoes.data.copy()
+    data[..., :9] += 1e18
+    cut = echoes.replace(data=data)
+    longer = within_longer_records(cut)
+    plan = pysas.plan(longer, grid, 1e-3, "backprojection", backend=backend)
+    report = kept(plan, longer.data, *pysas.reference.exact(cut, grid), (backend,))
+    assert report.predicted_error <= 1e-3
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_what_float64_cannot_tell_apart_in_what_was_recorded_is_said(backend):
+    """As of whole records, in `test_what_float64_cannot_tell_apart_is_said`, beside samples that are no numbers."""
+    echoes, grid = straight(32), pysas.Grid.plane(np.arange(-12, 12) * 0.02, 19.0 + np.arange(24) * 0.02)
+    data = echoes.data + 1e18 * np.exp(-(((np.arange(echoes.n_sample) - 500) / 12) ** 2))
+    with pytest.warns(UserWarning, match=r"tol=0.001 is not promised, error .* predicted"):
+        pysas.backproject(within_longer_records(echoes.replace(data=data)), grid, 1e-3, backend=backend)
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("tol", [1e-6, 1e-9])
 @pytest.mark.parametrize("seed", [100, 101, 102, 104])

@@ -8,6 +8,7 @@ import pytest
 from scenes import PLANE, C, bright, moving, ring, straight, survey
 
 import pysas
+from pysas.engine import cpp
 from pysas.model.gaps import shortened, windows_of
 from pysas.signal.inspection import inspect
 
@@ -68,7 +69,8 @@ def test_random_windows_keep_tol(name, engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("tol", [1e-2, 1e-3])
-def test_trees_keep_tol_beside_windows_ends(tol, engine):
+def test_trees_keep_tol_beside_windows_ends(tol, engine, monkeypatch):
+    monkeypatch.setattr(cpp, "TREES_MUST_PAY", False)
     echoes = straight(192, samples=1400)
     rng = np.random.default_rng(4)
     ends = np.stack([rng.integers(0, 60, 192), rng.integers(1000, 1400, 192)], axis=1)
@@ -143,6 +145,31 @@ def test_a_term_on_a_windows_edge_counts(engine):
         assert image.report.terms == 4
         assert np.array_equal(image.data != 0, [False, True, True, True, True, False])
     assert np.array_equal(pysas.reference.exact(echoes, pysas.Grid.points(points))[1] != 0, image.data != 0)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("tol", [1e-3, 1e-9])
+def test_lines_across_a_windows_edges_are_dark_beyond(tol, engine):
+    """Lines half a sample from one to the next, along which delays change by 1.4 samples: some cross the edges."""
+    tx = np.zeros((1, 3))
+    echoes = pysas.Echoes(np.ones((1, 400), complex), fs=40e3, fc=1e5, tx=tx, rx=tx, t0=2 * 30.0 / C, bandwidth=30e3)
+    echoes = echoes.replace(valid=np.array([[100, 300]]), data=echoes.data.astype(np.complex64 if tol == 1e-3 else complex))
+    sample = C / 2 / 40e3
+    for edge in (100, 300):
+        grid = pysas.Grid.plane(np.arange(64) * 0.02, 30.0 + (edge - 10.03 + np.arange(40) * 0.5) * sample)
+        image = pysas.backproject(echoes, grid, tol, backend=engine)
+        lit = pysas.reference.exact(echoes, grid)[1] != 0
+        assert np.array_equal(image.data != 0, lit) and 0.3 < np.mean(lit) < 0.7
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+def test_bounds_near_a_windows_ends_are_those_of_all_frequencies(edge):
+    """A low-passed trace holds all |f| < 1/2 near a hard end and not its band, 0.15, alone: as beside a record's own."""
+    echoes = straight(8, bandwidth=12e3, samples=4000).replace(t0=2 * 10.0 / C)  # pixels read samples 500 to 560 or so
+    valid = [470, 3999] if edge == 0 else [0, 600]
+    plans = [pysas.plan(e, FEW, backend="numba") for e in (echoes.replace(valid=np.tile(valid, (8, 1))), echoes)]
+    near, far = (plan.choices.errors["interpolation"] for plan in plans)
+    assert near > 100 * far
 
 
 @pytest.mark.parametrize("engine", ENGINES)

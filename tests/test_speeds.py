@@ -99,6 +99,14 @@ def test_the_oracle_knows_each_pings_speed():
     assert np.linalg.norm(level - np.sqrt(power)) < 1e-14 * np.linalg.norm(level)
 
 
+def test_plans_take_the_least_speed_for_wave_numbers():
+    """Which bounds those of all pings from above; traces have their own."""
+    echoes = varied(moving(), 0.03)
+    scene = pysas.plan(echoes, FEW, backend="numba").scene
+    assert scene.c == np.min(echoes.c) and scene.mean_speed == np.mean(echoes.c) and not scene.one_speed
+    assert np.array_equal(scene.trace["c"], np.repeat(echoes.c, 6))
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_equal_speeds_are_one_speed(engine):
     echoes = moving()
@@ -173,7 +181,7 @@ def test_what_echoes_say_of_their_speeds():
     start, last = float(echoes.t0), float(echoes.t0) + 899 / 40e3
     assert echoes.swath == (1450 / 2 * start, 1550 / 2 * last)
     assert echoes.range_resolution == straight(4).range_resolution
-    assert framing.default_grid(echoes)[0].shape == framing.default_grid(straight(4))[0].shape
+    assert framing.default_grid(echoes, 0.0)[0].shape == framing.default_grid(straight(4), 0.0)[0].shape
     assert "omega-k" not in pysas.plan(echoes, FEW).explain() and "omega-k" in pysas.plan(straight(4), FEW).explain()
 
 
