@@ -18,6 +18,7 @@ class Survey(ctypes.Structure):
         + [(name, f64) for name in ("fs", "fc", "bandwidth", "c", "t0")]
         + [(name, pointer) for name in ("ping_t0", "tx", "rx", "velocity", "weights", "boresight")]
         + [("beam_half_angle", f64), ("beam_shape", ctypes.c_int32), ("beam_taper", f64), ("beam_axis", pointer)]
+        + [("ping_c", pointer), ("valid", pointer)]
     )
 
 
@@ -65,9 +66,11 @@ def structs(echoes, grid, tol, keep, points=False):
 
     survey = Survey(
         ctypes.sizeof(Survey), echoes.n_ping, echoes.n_channel, echoes.n_sample, echoes.fs, echoes.fc,
-        echoes.occupied_bandwidth, echoes.c, 0.0, at(echoes.start_time), at(echoes.tx), at(echoes.receivers),
+        echoes.occupied_bandwidth, echoes.mean_speed, 0.0, at(echoes.start_time), at(echoes.tx), at(echoes.receivers),
         at(echoes.receiver_velocity),
     )  # fmt: skip
+    survey.ping_c = None if isinstance(echoes.c, float) else at(echoes.speeds)
+    survey.valid = None if echoes.valid is None else at(np.asarray(echoes.windows, dtype=np.int64))
     dtype = 0 if echoes.dtype == np.complex64 else 1
     options = Options(ctypes.sizeof(Options), tol, dtype, 2)
     if grid is None:

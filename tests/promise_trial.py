@@ -79,10 +79,9 @@ def ways(scene: Scene, everything: bool) -> list[Way]:
 
 
 def _expressible(scene: Scene) -> bool:
-    """Whether `c_library` can say it: no complex or pixels' own weights, no traces to leave out, one speed, whole records."""
+    """Whether `c_library` can say it: no complex or pixels' own weights, no traces to leave out."""
     real = scene.weights is None or (isinstance(scene.weights, np.ndarray) and scene.weights.dtype.kind == "f")
-    echoes = scene.echoes
-    return real and scene.nan == "raise" and isinstance(echoes.c, float) and echoes.valid is None
+    return real and scene.nan == "raise"
 
 
 @dataclass

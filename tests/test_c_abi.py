@@ -454,6 +454,38 @@ def test_beams_that_are_none(library, beam):
     assert image(library, echoes, grid, 1e-3, change=change) == 1
 
 
+def test_speeds_and_windows(library):
+    """As Echoes have them; of callers whose struct ends before them all pings have c, and all was recorded."""
+    echoes = straight(12)
+    windows = np.tile([40, echoes.n_sample - 200], (12, 1))
+    windows[5] = 300, 299
+    own = echoes.replace(c=1500.0 + 8 * np.sin(np.arange(12.0)), valid=windows)
+    assert np.array_equal(image(library, own, PLANE, 1e-3), pysas.backproject(own, PLANE, 1e-3, backend="cpp").data)
+
+    def older(survey, lines, options):
+        survey.struct_size = Survey.ping_c.offset
+
+    assert np.array_equal(image(library, own.replace(c=1500.0), PLANE, 1e-3, change=older), image(library, echoes, PLANE, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("ping_c", [0.0]),
+        ("ping_c", [np.nan]),
+        ("valid", [-1, 5]),
+        ("valid", [7, 5]),
+        ("valid", [0, 10**6]),
+        ("valid", [10**6, 10**6]),
+    ],
+)
+def test_speeds_and_windows_that_are_none(library, name, values):
+    echoes = straight(4)
+    given = {"ping_c": np.full(4, 1500.0), "valid": np.tile(np.array([0, echoes.n_sample - 1]), (4, 1))}[name]
+    given[2] = values if name == "valid" else values[0]
+    assert image(library, echoes, PLANE, 1e-3, change=lambda s, g, o: setattr(s, name, given.ctypes.data)) == 1
+
+
 def test_options_of_older_callers(library):
     """The first options ended before the method: what lies behind them in memory is not looked at."""
     make, grid = CASES["straight"]

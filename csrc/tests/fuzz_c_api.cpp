@@ -114,6 +114,15 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     survey.beam_shape = beam % 8 == 7 ? beam : beam % 2;
     survey.beam_taper = beam & 16 ? in.number(-0.1, 1.1) : 0;
     survey.beam_axis = beam & 32 ? axis.data() : nullptr;
+    const auto speeds = fill(pings, beam & 64 ? 1400 : 300, beam & 64 ? 1540 : 3000);
+    survey.ping_c = parts & 16 ? speeds.data() : nullptr;
+    std::vector<std::int64_t> valid;
+    for (std::int64_t i = 0; i < traces; ++i) {
+        const std::int64_t last = clipped(survey.n_sample) - 1, first = in.byte() % 32;
+        valid.push_back(in.byte() < 250 ? std::min(first, last) : first);
+        valid.push_back(in.byte() < 250 ? last - in.byte() % 32 : last + 1);
+    }
+    survey.valid = parts & 32 ? valid.data() : nullptr;
     for (double* vector : {grid.first, grid.along, grid.down}) {
         const double reach = vector == grid.first ? scale : scale / 50;
         for (int axis = 0; axis < 3; ++axis) vector[axis] = in.number(-reach, reach);
