@@ -87,8 +87,8 @@ struct Scene {
                 }
             }
         }
-        survey = {sizeof survey, pings,     channels, samples, fs,      fc, fs / 2, c, t0,     nullptr,
-                  tx.data(),     rx.data(), nullptr,  nullptr, nullptr, 0,  0,      0, nullptr};
+        survey = {sizeof survey, pings,   channels, samples, fs, fc, fs / 2, c,       t0,      nullptr, tx.data(),
+                  rx.data(),     nullptr, nullptr,  nullptr, 0,  0,  0,      nullptr, nullptr, nullptr};
         if (moving) survey.velocity = velocity.data();
         if (moving) survey.weights = weights.data();
         grid.struct_size = sizeof grid;
@@ -201,7 +201,11 @@ void a_constant_goes_through_the_tree() {
     std::vector<float> table(traces * 4 * stride, 0.0F);
     for (std::int64_t i = 0; i < traces; ++i) std::fill_n(table.begin() + i * 4 * stride, stride, 1.0F);
     std::vector<Trace> sensors(traces);
-    for (Trace& trace : sensors) trace.tx[2] = trace.rx[2] = 3;
+    for (Trace& trace : sensors) {
+        trace.tx[2] = trace.rx[2] = 3;
+        trace.c = c;
+        trace.last = 900;
+    }
     Terms<float> terms{};
     terms.table = table.data();
     terms.trace_stride = 4 * stride;
@@ -354,7 +358,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         const double x = 0.1 * ping + (ping > 40 ? 1.5 : 0) - 3.7, y = 0.3 * std::sin(0.2 * ping);
         for (int channel = 0; channel < 2; ++channel)
             survey.traces.push_back(
-                {{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, {}, 0, 0, 0});
+                {{x, y - 25, 5 + 0.1 * y}, {x - 0.1 - 0.2 * channel, y - 25, 5}, {}, {}, {}, 0, 1500, 0, 2999, 0, 0});
     }
     survey.model = {1500, 100e3, 40e3, 1, 2999, {pysas::no_beam, 0, 0}, 0, 0};
     survey.band = 0.375;
@@ -391,7 +395,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         scene.pixels.first.data(), scene.pixels.step.data(), nullptr, scene.pixels.mask.data(), height, width, 64};
     const pysas::Tick none;
     pysas::Poll poll(none);
-    const pysas::Served judged = pysas::served(scene, image, layout, 1, {1, 0});
+    const pysas::Served judged = pysas::served(scene, image, layout, 1, {1, 0, 0});
     CHECK(std::abs(judged.share - 1) < 0.1 && judged.planes == 1 && judged.groups > 1);
     std::ptrdiff_t columns = 0;
     for (const std::vector<int>& fans :
@@ -401,7 +405,7 @@ void a_forest_holds_every_trace_and_serves_every_read() {
         cut.length = 3;
         cut.crossing = fans.size() < 2 ? 0.045 : 0;
         cut.positions = 1e-4;
-        const auto planned = make_forest(scene, lined, cut, 1, {1, 0}, 0, false, poll, 2);
+        const auto planned = make_forest(scene, lined, cut, 1, {1, 0, 0}, 0, false, poll, 2);
         CHECK(planned && planned->share == 1 && planned->count > 1 && planned->forest.sections.size() == 1);
         if (!planned) continue;
         const Forest& forest = planned->forest;

@@ -77,6 +77,8 @@ Recipe recipe() {
     out.batch = 10;
     for (std::int64_t i = 0; i < pings; ++i) {
         Trace trace{};
+        trace.c = 1500;
+        trace.last = double(samples - 1);
         trace.tx[0] = trace.rx[0] = 0.1 * double(i) - 1.2;
         trace.tx[1] = trace.rx[1] = -8;
         out.traces.push_back(trace);
@@ -259,7 +261,7 @@ void names_of_sets() {
 // Lines that lead away from a group, and how fast rays cross them.
 void lines_lead_away() {
     Survey survey{};
-    survey.traces.push_back({{0, -25, 5}, {0, -25, 5}, {}, {}, {}, 0, 0, 0});
+    survey.traces.push_back({{0, -25, 5}, {0, -25, 5}, {}, {}, {}, 0, 1500, 0, 2999, 0, 0});
     survey.model = {1500, 100e3, 40e3, 1, 2999, {no_beam, 0, 0}, 0, 0};
     survey.band = 0.375;
     survey.single = true;
