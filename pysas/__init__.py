@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pysas.formats.tables import read_table
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
     from pysas.imaging.planner import plan
+    from pysas.inspection import Finding, inspect
     from pysas.model.beam import Beam
     from pysas.model.echoes import Echoes
     from pysas.model.grid import Grid
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from pysas.model.pulse import LFM
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
-    from pysas.signal.inspection import Finding, inspect
     from pysas.signal.phase_history import from_phase_history
     from pysas.simulation import simulate
     from pysas.survey.strips import Strip
@@ -51,7 +51,7 @@ _MODULES = {
     "model.pulse": ("LFM",),
     "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
-    "signal.inspection": ("Finding", "inspect"),
+    "inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),
     "survey.strips": ("Strip",),

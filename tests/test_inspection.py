@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas.signal.inspection import inspect
+from pysas.inspection import inspect
 
 FS, FC = 40e3, 100e3
 

@@ -11,7 +11,7 @@ import pytest
 
 import pysas
 from pysas.cli import main
-from pysas.signal.inspection.wavefront import Echo, fit, lateness
+from pysas.inspection.wavefront import Echo, fit, lateness
 
 mistakes: Any = importlib.import_module("bench.mistakes")
 scenes: Any = importlib.import_module("bench.mistake_scenes")

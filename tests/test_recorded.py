@@ -9,8 +9,8 @@ from scenes import PLANE, C, bright, moving, ring, straight, survey
 
 import pysas
 from pysas.engine import cpp
+from pysas.inspection import inspect
 from pysas.model.gaps import shortened, windows_of
-from pysas.signal.inspection import inspect
 
 ENGINES = [pytest.param("cpp", marks=pytest.mark.cpp), "numba"]
 FEW = pysas.Grid.plane(np.arange(-20, 21) * 0.05, 19.0 + np.arange(20) * 0.06)

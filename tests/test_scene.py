@@ -175,6 +175,12 @@ BAD_ECHOES: list[tuple[str, dict[str, Any], type[Exception], str]] = [
     ("fc inf", fields(fc=np.inf), ValueError, "fc=inf"),
     ("c zero", fields(c=0.0), ValueError, "c=0.0"),
     ("c none", fields(c=None), TypeError, "c=None"),
+    (
+        "transposed",
+        fields(data=fields()["data"].swapaxes(0, -1)),
+        ValueError,
+        r"data: shape .* beside 4 transmitters: .*axis 2",
+    ),
     ("tx shape", fields(tx=np.zeros((PING + 1, 3))), ValueError, r"tx: expected shape \(4, 3\), found \(5, 3\)"),
     ("tx flat", fields(tx=np.zeros((PING, 2))), ValueError, r"tx: expected shape \(4, 3\), found \(4, 2\)"),
     ("tx nan", fields(tx=changed(_PLAIN["tx"], (2, 1), np.nan)), ValueError, "tx: nan at ping 2: expected finite"),

@@ -144,6 +144,20 @@ def test_tracks_run_either_way_and_look_to_either_side():
     assert pysas.metrics.peak_position(image, (1.2, 3.0 - 26.2), 0.3) == pytest.approx((1.2, 3.0 - 26.2), abs=1e-3)
 
 
+@pytest.mark.parametrize("image", [omega_k, range_doppler])
+def test_the_side_is_told_or_said_to_be_assumed(image):
+    """Without a beam echoes of both sides are alike: what port records lies at y < 0 once that is said."""
+    port = scenes.smooth(((-0.5, 24.0), (1.2, 26.2)), even(400), y=3.0, side=-1.0)
+    seen, bare = image(port, threads=1), port.replace(beam=None)
+    told = image(bare, side="-y", threads=1)
+    assert np.array_equal(told.grid.axes["y"], seen.grid.axes["y"]) and not told.report.notes and not seen.report.notes
+    assumed = image(bare, threads=1)
+    assert "no side= tells" in assumed.report.notes[0] and assumed.grid.axes["y"].max() > 3.0
+    assert np.array_equal(assumed.data, told.data)
+    with pytest.raises(ValueError, match=r"side='port': expected .*\+y"):
+        image(bare, side="port")
+
+
 @pytest.mark.parametrize("weight", ["flat", "backprojection"])
 def test_nothing_that_cannot_propagate_is_imaged(weight):
     # Spacing below a quarter of the least wavelength, 9.4 mm: k_u reaches 2k and beyond.

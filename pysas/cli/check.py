@@ -7,7 +7,7 @@ import json
 
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
-from pysas.signal.inspection import inspect
+from pysas.inspection import inspect
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

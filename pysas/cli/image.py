@@ -18,13 +18,13 @@ from pysas.cli.common import Command, Progress, add_scene, chosen_grid, has_matp
 from pysas.engine import BACKENDS
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
+from pysas.inspection import inspect
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
 from pysas.model.pulse import LFM
 from pysas.planning.scene import UNIFORM
 from pysas.signal import compression
-from pysas.signal.inspection import inspect
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ class Echoes:
             put(name, _checks.number(name, getattr(self, name), positive=True))
         ping, three = self.data.shape[0], self.data.ndim == 3
         receivers = (ping, self.data.shape[1], 3) if three else (ping, 3)
+        self._upright()
         put("tx", _checks.reals("tx", self.tx, [(ping, 3)], ("ping",)))
         put("rx", _checks.reals("rx", self.rx, [receivers], ("ping", "channel") if three else ("ping",)))
         put("c", _speeds(self.c, ping))
@@ -125,6 +126,16 @@ class Echoes:
         if self.attrs is not None and not isinstance(self.attrs, Mapping):
             raise TypeError(f"attrs={self.attrs!r}: expected a mapping")
         put("attrs", dict(self.attrs or {}))
+
+    def _upright(self) -> None:
+        """Data whose axes are in another order are told by the number of transmitters, before tx is blamed."""
+        shape, tx = self.data.shape, _checks.array_like("tx", self.tx).shape
+        if len(tx) == 2 and tx[1] == 3 and tx[0] != shape[0] and tx[0] in shape[1:]:
+            wanted = "(ping, sample)" if len(shape) == 2 else "(ping, channel, sample)"
+            axis = shape.index(tx[0], 1)
+            raise ValueError(
+                f"data: shape {shape} beside {tx[0]} transmitters: expected {wanted}: is axis {axis} that of pings?"
+            )
 
     def _validate_pulse(self, put: Any) -> None:
         if self.pulse is not None and not isinstance(self.pulse, LFM):

@@ -32,6 +32,7 @@ def chirp_scaling(
     higher_order: bool = True,
     range_bandwidth: float | None = None,
     along_bandwidth: float | None = None,
+    side: str | None = None,
     threads: int | None = None,
 ) -> Image:
     """Image of a straight, even track by the chirp scaling algorithm.
@@ -44,7 +45,7 @@ def chirp_scaling(
         Slant range at which nothing but the second-order expansion is approximate, m; default: the middle of the record.
     higher_order : bool
         Remove the phase beyond second order in frequency at the reference range first.
-    range_bandwidth, along_bandwidth, threads
+    range_bandwidth, along_bandwidth, side, threads
         As for `omega_k`.
 
     Returns
@@ -80,7 +81,7 @@ def chirp_scaling(
     workers = _checks.threads(threads)
     if not isinstance(higher_order, bool | np.bool_):
         raise TypeError(f"higher_order={higher_order!r}: expected True or False")
-    strip = prepare(raw, along_bandwidth, "raw")
+    strip = prepare(raw, along_bandwidth, "raw", side)
     pulse = _pulse(raw)
     r0 = reference(raw, reference_range)
     width = band(raw, range_bandwidth)
@@ -131,7 +132,7 @@ def chirp_scaling(
     choices: dict[str, Any] = {"higher_order": bool(higher_order), "reference_range": r0, "least_fs": needed}
     report = Report(
         "chirp scaling", threads=workers, backend="numpy", prepare_seconds=prepared - clock, choices=choices,
-        sum_seconds=time.perf_counter() - prepared,
+        sum_seconds=time.perf_counter() - prepared, notes=strip.notes,
     )  # fmt: skip
     return Image(np.ascontiguousarray(data), strip.grid(ranges[rows]), report, raw.fc, raw.speed)
 

@@ -39,6 +39,7 @@ def omega_k(
     range_bandwidth: float | None = None,
     along_bandwidth: float | None = None,
     weight: str = "flat",
+    side: str | None = None,
     threads: int | None = None,
 ) -> Image:
     """Image of a straight, even track by the omega-k (wavenumber, range migration) algorithm.
@@ -60,6 +61,8 @@ def omega_k(
         Two-sided processing bandwidth in along-track wavenumber, rad/m, about the beam's middle; default: 2 pi/spacing.
     weight : {"flat", "backprojection"}
         "flat": every (k_x, k_u) counts as it was recorded. "backprojection": as in the sum over pings, see Notes.
+    side : {"+y", "-y"}, optional
+        Where the sonar looks; default: where its beam does, or without one towards +y, which the report's notes then say.
     threads : int, optional
         Worker threads; default PYSAS_NUM_THREADS or all processors. The result is the same for any number.
 
@@ -94,7 +97,7 @@ def omega_k(
     _checks.choice("weight", weight, ("flat", "backprojection"))
     zero_padding = _checks.whole("zero_padding", zero_padding)
     workers, summed = _checks.threads(threads), weight == "backprojection"
-    strip = prepare(echoes, along_bandwidth)
+    strip = prepare(echoes, along_bandwidth, side=side)
     stolt = _layout(strip, zero_padding, reference(echoes, reference_range), band(echoes, range_bandwidth), interpolation)
     n_sample = echoes.n_sample
     work = strip.spectrum(stolt.ranges.size, workers)
@@ -127,6 +130,7 @@ def omega_k(
         "omega-k", threads=workers, backend="numba", prepare_seconds=prepared - clock,
         sum_seconds=time.perf_counter() - prepared,
         choices={"interpolation": interpolation, "zero_padding": zero_padding, "reference_range": stolt.r0, "weight": weight},
+        notes=strip.notes,
     )  # fmt: skip
     return Image(np.ascontiguousarray(image), strip.grid(stolt.ranges), report, echoes.fc, echoes.speed)
 

@@ -31,6 +31,7 @@ def range_doppler(
     reference_range: float | None = None,
     range_bandwidth: float | None = None,
     along_bandwidth: float | None = None,
+    side: str | None = None,
     threads: int | None = None,
 ) -> Image:
     """Image of a straight, even track by the range-Doppler algorithm.
@@ -43,7 +44,7 @@ def range_doppler(
         Secondary range compression at `reference_range`: of all orders, of second order in frequency, or left out.
     interpolation : {"sinc", "linear"}
         Of range migration correction: 16-point sinc under a Lanczos window, or linear at four times the sample rate.
-    reference_range, range_bandwidth, along_bandwidth, threads
+    reference_range, range_bandwidth, along_bandwidth, side, threads
         As for `omega_k`.
 
     Returns
@@ -70,7 +71,7 @@ def range_doppler(
     _checks.choice("secondary", secondary, ("exact", "second-order", "none"))
     _checks.choice("interpolation", interpolation, ("sinc", "linear"))
     workers = _checks.threads(threads)
-    strip = prepare(echoes, along_bandwidth)
+    strip = prepare(echoes, along_bandwidth, side=side)
     r0 = reference(echoes, reference_range)
     width = band(echoes, range_bandwidth)
     curvature = migration(strip)
@@ -102,7 +103,7 @@ def range_doppler(
     choices: dict[str, Any] = {"secondary": secondary, "interpolation": interpolation, "reference_range": r0}
     report = Report(
         "range-Doppler", threads=workers, backend="numpy", prepare_seconds=prepared - clock, choices=choices,
-        sum_seconds=time.perf_counter() - prepared,
+        sum_seconds=time.perf_counter() - prepared, notes=strip.notes,
     )  # fmt: skip
     return Image(np.ascontiguousarray(data), strip.grid(ranges), report, echoes.fc, echoes.speed)
 

@@ -27,6 +27,9 @@ TOLERANCE = 0.01  # largest distance from the ideal track, wavelengths at fc: a 
 Complex = npt.NDArray[np.complex128]
 
 
+SIDES = ("+y", "-y")
+
+
 @dataclass(frozen=True, eq=False)
 class Strip:
     """A checked stripmap record and the axes of its transforms.
@@ -39,6 +42,8 @@ class Strip:
         Position of the first of them and distance between pings, m.
     y0, z0, side : float
         Track in y and z, m; +1 where the sonar looks towards +y, -1 towards -y.
+    notes : tuple of str
+        That the side was assumed, where nothing tells it.
     start : float
         Time of sample 0, s.
     k_u : (n,)
@@ -60,6 +65,7 @@ class Strip:
     k_u: FloatArray
     kept: npt.NDArray[np.bool_]
     cosine: float
+    notes: tuple[str, ...] = ()
 
     @property
     def swath(self) -> tuple[float, float]:
@@ -93,7 +99,7 @@ class Strip:
         return Grid.plane(self.x0 + self.spacing * np.arange(len(self.data)), y, z=self.z0)
 
 
-def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes") -> Strip:
+def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes", side: str | None = None) -> Strip:
     """Check that `echoes` are what a Fourier algorithm takes, and lay out its axes.
 
     Of a beam it takes the side and the middle of the along-track band: Fourier algorithms focus all that is recorded within
@@ -106,6 +112,8 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         Two-sided, rad/m; None: all that the pings sample.
     name : str
         Argument to name in errors.
+    side : {"+y", "-y"}, optional
+        Where the sonar looks; default: where its beam does, or without one towards +y, which the notes then say.
 
     Raises
     ------
@@ -134,11 +142,15 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
         raise ValueError(f"{name}: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
     if step < 0:
         data, first, step = data[::-1], first + np.array([(len(data) - 1) * step, 0, 0]), -step
-    centre, side = 0.0, 1.0
+    centre, sign = 0.0, 1.0
     if echoes.beam is not None:
         middle = beam_middle(echoes.beam)
-        side = -1.0 if middle[1] < 0 else 1.0
+        sign = -1.0 if middle[1] < 0 else 1.0
         centre = 4 * np.pi * echoes.fc / echoes.speed * float(middle[0])
+    if side is not None:
+        sign = 1.0 if _checks.choice("side", side, SIDES) == "+y" else -1.0
+    assumed = side is None and echoes.beam is None
+    notes = ("towards +y: no beam and no side= tells where the sonar looks",) if assumed else ()
     sampled = 2 * np.pi / step
     if along_bandwidth is None:
         band = sampled
@@ -158,7 +170,7 @@ def prepare(echoes: Echoes, along_bandwidth: float | None, name: str = "echoes")
     k_u = k_u + sampled * np.rint((centre - k_u) / sampled)
     kept = np.abs(k_u - centre) <= band / 2 * (1 + 1e-12)
     x0, y0, z0 = (float(v) for v in first)
-    return Strip(echoes, data, x0, step, y0, z0, side, start, k_u, kept, cosine)
+    return Strip(echoes, data, x0, step, y0, z0, sign, start, k_u, kept, cosine, notes)
 
 
 def beam_middle(beam: Beam) -> FloatArray:

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import FloatArray
+from pysas.inspection.finding import Finding
+from pysas.inspection.levels import Levels
+from pysas.inspection.sample import Sample
 from pysas.model.echoes import Echoes
-from pysas.signal.inspection.finding import Finding
-from pysas.signal.inspection.levels import Levels
-from pysas.signal.inspection.sample import Sample
 
 _OFFSET = 0.05  # share of a channel's energy in its mean
 _LOUD = 10.0  # dB between channels

@@ -8,11 +8,11 @@ conjugate, their coherence with each other, and the strongest echoes followed fr
 from __future__ import annotations
 
 from pysas import _checks
+from pysas.inspection import band, followed, geometry, order, survey, traces
+from pysas.inspection.finding import Finding
+from pysas.inspection.levels import Levels, measured
+from pysas.inspection.sample import chosen
 from pysas.model.echoes import Echoes
-from pysas.signal.inspection import band, followed, geometry, order, survey, traces
-from pysas.signal.inspection.finding import Finding
-from pysas.signal.inspection.levels import Levels, measured
-from pysas.signal.inspection.sample import chosen
 
 __all__ = ["Finding", "inspect"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pysas._checks import FloatArray
+from pysas.inspection.finding import Finding
 from pysas.model.beam import FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.signal.inspection.finding import Finding
 
 _AHEAD = 45.0  # degrees from broadside, beyond which a beam looks along the track
 

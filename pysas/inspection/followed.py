@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from pysas._checks import FloatArray
-from pysas.signal.inspection.finding import Finding
-from pysas.signal.inspection.sample import Complex, Index, Sample
-from pysas.signal.inspection.wavefront import Echo, fit, lateness, part, swapped
+from pysas.inspection.finding import Finding
+from pysas.inspection.sample import Complex, Index, Sample
+from pysas.inspection.wavefront import Echo, fit, lateness, part, swapped
 
 _ECHOES = 5
 _LEAST = 20  # pings

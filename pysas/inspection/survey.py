@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pysas._checks import FloatArray
+from pysas.inspection.finding import Finding
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.signal.inspection.finding import Finding
 
 _GHOST = -33.0  # dB
 _SHIFT = 0.45  # of a cell of range; exact echoes of a moving sonar lose 7 % of their peak at 0.53, a third at 1.3

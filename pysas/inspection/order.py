@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas._checks import ComplexArray, FloatArray
-from pysas.signal.inspection.finding import Finding
-from pysas.signal.inspection.sample import Sample
+from pysas.inspection.finding import Finding
+from pysas.inspection.sample import Sample
 
 _NEAREST = (2, 4)  # receivers, and pings, about each among which its partner must be
 _STANDS_OUT = 3.8  # robust standard deviations; the best of a hundred by chance: 2.8, of a fifth of them more than this

@@ -10,10 +10,10 @@ import scipy.fft
 import scipy.ndimage
 
 from pysas._checks import ComplexArray, FloatArray
+from pysas.inspection.finding import Finding
+from pysas.inspection.levels import Levels
+from pysas.inspection.sample import Sample
 from pysas.model.pulse import LFM
-from pysas.signal.inspection.finding import Finding
-from pysas.signal.inspection.levels import Levels
-from pysas.signal.inspection.sample import Sample
 
 _REAL = 0.9  # of sum x^2 / sum |x|^2, which is 1 where samples are real
 _BINS = 32  # of a band, where densities are compared

@@ -14,9 +14,9 @@ import numpy.typing as npt
 import scipy.fft
 
 from pysas._checks import ComplexArray, FloatArray
+from pysas.inspection.levels import Levels
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
-from pysas.signal.inspection.levels import Levels
 
 MOST_PINGS = 128
 MOST_CHANNELS = 16
