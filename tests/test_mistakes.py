@@ -31,13 +31,12 @@ def test_good_data_are_told_nothing(case: Any) -> None:
     assert mistakes.spoken(pysas.compress(case.echoes)) == []
 
 
-@pytest.mark.parametrize("name", [mistake.name for mistake in mistakes.MISTAKES])
-def test_a_mistake_is_named(case: Any, name: str) -> None:
-    (mistake,) = (m for m in mistakes.MISTAKES if m.name == name)
-    if not mistake.shown(case):
-        pytest.skip(f"seen: {mistake.where}")
-    right, said = mistakes.named(mistake, case.with_mistake(mistake))
-    assert right, said
+def test_mistakes_are_named(case: Any) -> None:
+    """All of those that these data can show, which are most of them."""
+    shown = [mistake for mistake in mistakes.MISTAKES if mistake.shown(case)]
+    assert len(shown) >= 0.7 * len(mistakes.MISTAKES)
+    found = {mistake.name: mistakes.named(mistake, case.with_mistake(mistake)) for mistake in shown}
+    assert {name: said for name, (right, said) in found.items() if not right} == {}
 
 
 def test_the_same_file_is_told_the_same(case: Any) -> None:
