@@ -144,7 +144,7 @@ def test_masks_and_threads():
     assert np.array_equal(one.data, two.data) and not one.data[~mask].any() and one.report.factorised_share > 0.5
 
 
-@pytest.mark.parametrize("tilt", [(0.002, 0.0), (0.02, 0.0), (0.0, 0.02), (0.02, -0.03)])
+@pytest.mark.parametrize("tilt", [(0.002, 0.0), (0.02, -0.03)])
 @pytest.mark.parametrize("points", [False, True])
 def test_tilted_planes(tilt, points, monkeypatch):
     """Rows of a tilted plane are straight and have no heights of their own: lines of its pixels are not a plane's."""
