@@ -236,3 +236,30 @@ def test_a_span_holds_multiples_within_its_limits() -> None:
     for step in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="spacing="):
             span(0.0, 1.0, step)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.5, 90.0, 179.5, 180.0, -175.0])
+def test_sides_follow_the_way_that_was_sailed(heading: float) -> None:
+    """Port is left of the way sailed where the sonar is above the seabed and z points up, whatever the axes."""
+    angle = np.radians(heading)
+    ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
+    echoes = survey(line(15.0)[:, :1] * ahead + [0, 0, 5.0])
+    for side, sign in (("port", 1.0), ("starboard", -1.0)):
+        grid, _ = default_grid(echoes, 0.0, side=side)
+        middle = grid.coordinates().mean(axis=0) - echoes.tx.mean(axis=0)
+        assert sign * (ahead[0] * middle[1] - ahead[1] * middle[0]) > 0
+
+
+def test_frames_of_navigation_have_z_down() -> None:
+    """Their z is depth and y starboard (docs/navigation.md), which no beam needs to tell."""
+    echoes = survey(line(15.0) * [1, 1, 0] + [0, 0, 12.0]).replace(attrs={"frame": {"latitude": 59.0}})
+    z, _ = assumed_height(echoes, 8.0)
+    assert z == pytest.approx(20.0)
+    for height in (assumed_height(echoes)[0], z):
+        assert default_grid(echoes, height, side="starboard")[0].axes["y"].min() > 0
+
+
+def test_speeds_of_pings_are_taken_by_their_mean() -> None:
+    sway = line(15.0) + np.stack([np.zeros(41), 0.1 * np.sin(np.arange(41.0)), np.zeros(41)], axis=1)
+    echoes = survey(sway)
+    assert assumed_height(echoes.replace(c=np.full(41, echoes.c)))[1] == assumed_height(echoes)[1]

@@ -187,3 +187,36 @@ def test_short_surveys(pings: int) -> None:
 @pytest.mark.parametrize("name", ["stripmap_perturbed", "circular"])
 def test_data_made_elsewhere_are_good(name: str, data_dir: Any) -> None:
     assert findings(pysas.load(data_dir / f"{name}.npz")) == {}
+
+
+@pytest.mark.parametrize("windows", ["every second shorter", "every seventh very short", "every fifth empty"])
+def test_pings_that_recorded_less_are_in_order(windows: str) -> None:
+    """What was declared as not recorded is neither silence nor another order of pings."""
+    pings, n = 150, 960
+    x = 0.03 * np.arange(pings) + 0.002 * np.sin(np.arange(pings))
+    tx = np.stack([x, 0 * x, 0 * x], axis=1)
+    points = np.random.default_rng(4).uniform([0, 9, 0], [4.5, 20, 0], (200, 3))
+    raw = pysas.simulate(
+        points, np.ones(200), pysas.LFM(100e3, 20e3, 2e-3, "tukey"), tx=tx, rx=tx, fs=40e3, duration=0.024, t0=0.008
+    )
+    valid = np.tile([0, n - 1], (pings, 1))
+    if windows == "every second shorter":
+        valid[::2, 1] = n // 4
+    elif windows == "every seventh very short":
+        valid[::7, 1] = n // 20
+    else:
+        valid[::5] = [0, -1]
+    assert [finding for finding in inspect(raw) if finding.state != "ok"] == []
+    told = [finding.name for finding in inspect(raw.replace(valid=valid)) if finding.state != "ok"]
+    assert told == (["silent traces"] if "short" in windows and "very" in windows else [])  # which hold not one echo
+
+
+def test_speeds_that_jump_are_no_other_order() -> None:
+    x = 0.03 * np.arange(150) + 0.002 * np.sin(np.arange(150))
+    tx = np.stack([x, 0 * x, 0 * x], axis=1)
+    c = 1500 * (1 + 0.003 * np.random.default_rng(0).uniform(-1, 1, 150))
+    points = np.array([[1.0, 12, 0], [2.0, 15, 0], [3.0, 18.0, 0], [2.5, 10, 0]])
+    raw = pysas.simulate(
+        points, np.ones(4), pysas.LFM(100e3, 20e3, 2e-3, "tukey"), tx=tx, rx=tx, fs=40e3, duration=0.024, t0=0.008, c=c
+    )
+    assert [finding for finding in inspect(raw) if finding.state != "ok"] == []

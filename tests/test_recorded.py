@@ -354,3 +354,20 @@ def test_echoes_keep_a_copy_of_their_windows_and_print_them():
     assert echoes.valid.dtype == np.int64 and not echoes.valid.flags.writeable and echoes.valid.max() == 449
     assert echoes.windows.shape == (16, 6, 2) and "valid      50 % of the samples were recorded" in repr(echoes)
     assert moving().valid is None and moving().windows.tolist() == [[[0, 899]] * 6] * 16
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_masked_pixels_within_a_window_are_no_terms(engine):
+    """Kernels count whole lines, masked pixels among them; whoever asked hears that nothing he wanted was recorded."""
+    echoes = straight(20, samples=700)
+    middle = (echoes.start_time[0] + 200 / echoes.fs) * C / 2  # where windows end
+    y = np.arange(middle - 2.0, middle + 2.0, 0.05)
+    grid = pysas.Grid.points(
+        np.stack([np.zeros((3, y.size)) + [[0.0], [0.05], [0.1]], np.tile(y, (3, 1)), np.zeros((3, y.size))], -1)
+    )
+    far = np.linalg.norm(grid.coordinates(), axis=1).reshape(grid.shape) > middle + 1.0
+    grid = pysas.Grid.points(grid.coords, mask=far)
+    short = echoes.replace(valid=np.tile([0, 200], (20, 1)))
+    with pytest.warns(UserWarning, match="no pixel lies within the recorded window"):
+        image = pysas.backproject(short, grid, 1e-3, backend=engine)
+    assert not image.data.any() and image.report.terms == 0

@@ -78,3 +78,10 @@ def test_no_file(tmp_path: Path) -> None:
         pysas.read_table(tmp_path / "absent.csv")
     with pytest.raises(IsADirectoryError):
         pysas.read_table(tmp_path)
+
+
+def test_rows_of_empty_fields_are_rows(tmp_path: Path) -> None:
+    """A blank row of navigation is a gap, not nothing."""
+    path = tmp_path / "a.csv"
+    path.write_text("time,b\n1,2\n,\n\n# no row\n3,4\n")
+    assert np.array_equal(pysas.read_table(path)["time"], [1, np.nan, 3], equal_nan=True)

@@ -175,6 +175,10 @@ def _spanned(arguments: argparse.Namespace, echoes: Echoes, z: float) -> tuple[G
     grid, how = framing.default_grid(echoes, z, spacing, arguments.side, large=True)
     if grid.turned and (arguments.x is None or arguments.y is None):
         raise ValueError(f"--x, --y: the survey's own axes are turned, {how}: expected both, on the axes of the data")
+    if arguments.side is not None and arguments.x is not None and arguments.y is not None:
+        raise ValueError(f"--side {arguments.side}: --x and --y say where: expected one of both")
+    if grid.turned and spacing is None:  # steps along the track and across it, whichever way the data's axes lie
+        spacing = (min(float(np.diff(grid.axes[name])[0]) for name in "xy" if grid.axes[name].size > 1),) * 2
     axes = []
     for number, (name, limits) in enumerate((("x", arguments.x), ("y", arguments.y))):
         axis = grid.axes[name]

@@ -158,7 +158,7 @@ def imaged(
         )  # fmt: skip
     summary = {
         "raw": raw, "compressed": compressed, "image": output, "png": png, "grid": how, "shape": list(grid.shape), "tol": tol,
-        "c": echoes.c, "report": picture.report.as_dict(), "seconds": seconds, "targets": targets,
+        "c": np.asarray(echoes.c).tolist(), "report": picture.report.as_dict(), "seconds": seconds, "targets": targets,
     }  # fmt: skip
     return picture, echoes, summary
 

@@ -58,7 +58,12 @@ class Judge:
 
     def answer(self, image: Image) -> Answer:
         grid = image.grid
-        key = (np.asarray(grid.height).tobytes(), *(np.round(axis, 9).tobytes() for axis in grid.axes.values()))
+        turned = np.array([*grid.origin, grid.rotation])
+        key = (
+            np.asarray(grid.height).tobytes(),
+            turned.tobytes(),
+            *(np.round(axis, 9).tobytes() for axis in grid.axes.values()),
+        )
         if key not in self.known:
             x, y = grid.axes["x"], grid.axes["y"]
             if self.box is None:

@@ -129,7 +129,7 @@ def _rows(name: str, lines: io.TextIOWrapper, delimiter: str) -> Iterator[tuple[
     try:
         for fields in reader:
             stripped = [field.strip() for field in fields]
-            if any(stripped) and not stripped[0].startswith("#"):
+            if (any(stripped) or len(stripped) > 1) and not stripped[0].startswith("#"):
                 yield reader.line_num, stripped
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{name}, near line {reader.line_num}: expected lines of text in UTF-8: {error}") from None

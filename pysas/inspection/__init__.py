@@ -7,6 +7,8 @@ conjugate, their coherence with each other, and the strongest echoes followed fr
 
 from __future__ import annotations
 
+import numpy as np
+
 from pysas import _checks
 from pysas.inspection import band, followed, geometry, order, survey, traces
 from pysas.inspection.finding import Finding
@@ -44,9 +46,9 @@ def inspect(echoes: Echoes) -> list[Finding]:
     """
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
-    echoes = echoes.whole()
-    levels = measured(echoes)
-    found = [traces.finite(echoes, levels), traces.silent(levels)]
+    heard, alike = _recorded(echoes)
+    levels = measured(heard)
+    found = [traces.finite(heard, levels), traces.silent(levels)]
     found += [
         geometry.times(echoes),
         geometry.range_sampling(echoes),
@@ -61,12 +63,35 @@ def inspect(echoes: Echoes) -> list[Finding]:
     if found[-3].state == "ok":
         found.append(survey.doppler(echoes))
     if levels.sounding.any():
-        found += _heard(echoes, levels, any(f.name == "units" and f.state == "FAIL" for f in found))
+        lost = any(f.name == "units" and f.state == "FAIL" for f in found)
+        found += _heard(heard, levels, lost or not alike)
     return found
 
 
+def _recorded(echoes: Echoes) -> tuple[Echoes, bool]:
+    """What all pings recorded that recorded anything, a view, and whether pings can be compared by it.
+
+    Where that is less than a quarter of a record all samples are taken, zeros where nothing was recorded. Pings whose sound
+    speeds jump from one to the next have echoes of one place at different times.
+    """
+    latest = float(np.max(echoes.start_time)) * echoes.fs + echoes.n_sample
+    alike = float(np.max(np.abs(np.diff(echoes.speeds)), initial=0.0)) / echoes.mean_speed * latest < 0.5
+    if echoes.valid is None:
+        return echoes, alike
+    windows = echoes.windows
+    some = np.flatnonzero((windows[..., 1] >= windows[..., 0]).all(axis=1))
+    if some.size:
+        first, last = int(windows[some, :, 0].max()), int(windows[some, :, 1].min())
+        if last + 1 - first >= max(echoes.n_sample // 4, 64):
+            kept = echoes[some] if some.size < echoes.n_ping else echoes
+            return kept.replace(
+                data=kept.data[..., first : last + 1], t0=kept.start_time + first / echoes.fs, valid=None
+            ), alike  # fmt: skip
+    return echoes.whole(), False
+
+
 def _heard(echoes: Echoes, levels: Levels, lost: bool) -> list[Finding]:
-    """What the samples say; with positions that are `lost` nothing about them."""
+    """What the samples say; where positions are `lost`, or pings not alike, nothing about these."""
     sample = chosen(echoes, levels)
     found = [
         traces.clipped(echoes, levels, sample),

@@ -376,6 +376,10 @@ def _chosen(name: str, which: slice | int | npt.ArrayLike, count: int) -> slice 
         if len(range(*which.indices(count))) == 0:
             raise ValueError(f"{name}={which}: none of {count} is left: expected some")
         return which
+    if isinstance(which, tuple):
+        raise TypeError(
+            f"{name}={which!r:.60}: expected a slice, whole numbers or booleans of pings; receivers are chosen by channels()"
+        )
     index = _checks.array_like(name, which)
     if index.dtype.kind not in "iub" or index.ndim > 1 or (index.dtype == np.bool_ and index.shape != (count,)):
         raise TypeError(f"{name}={which!r:.60}: expected a slice, whole numbers, or {count} booleans")

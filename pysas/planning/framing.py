@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,6 +36,8 @@ class Course:
         Whether it goes round what it looks at.
     bent : float
         How far it leaves a straight line, rms, m.
+    sailed : float
+        1, or -1 for a track near the x axis that was sailed towards -x.
     """
 
     origin: FloatArray
@@ -43,6 +46,7 @@ class Course:
     height: float
     closed: bool
     bent: float
+    sailed: float = 1.0
 
     @property
     def extents(self) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +69,7 @@ def course_of(echoes: Echoes) -> Course:
     if np.sum(steps * np.exp(-1j * angle)).real < 0 or angle == -np.pi / 2:
         angle += np.pi
     if abs(np.sin(angle)) < np.sin(_ALONG):
-        return Course(np.zeros(2), 0.0, flat, height, closed, bent)
+        return Course(np.zeros(2), 0.0, flat, height, closed, bent, float(np.sign(np.cos(angle))))
     angle = float(np.angle(np.exp(1j * angle)))
     origin = np.round(flat[0])
     axes = Grid.plane([0.0], [0.0], origin=origin, rotation=angle)
@@ -106,7 +110,7 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
         if track.closed:
             sharp = "round a closed track what lies elsewhere is not sharp"
         elif height_matters(echoes):
-            off = f"{100 * track.bent:.2g} cm rms, {track.bent * echoes.fc / echoes.c:.2g} wavelengths"
+            off = f"{100 * track.bent:.2g} cm rms, {track.bent * echoes.fc / echoes.mean_speed:.2g} wavelengths"
             sharp = f"the track leaves a straight line by {off}, so that what lies elsewhere is not sharp"
         why = f"z = {sonar:.10g} m assumed, the sonar's own: nothing says where the seabed is (--z, --altitude, --depth-map)"
         return sonar, f"{why}; {sharp}"
@@ -124,9 +128,9 @@ def height_matters(echoes: Echoes) -> bool:
 
 
 def _down(echoes: Echoes) -> float:
-    """Sign of z downwards, by where beams look; 0 where they do not tell."""
+    """Sign of z downwards, by where beams look, or of a frame of `pysas.navigation`, where z is depth; 0: nothing tells."""
     if echoes.beam is None:
-        return 0.0
+        return 1.0 if isinstance(echoes.attrs.get("frame"), Mapping) else 0.0
     look = float(np.mean(echoes.beam.boresights[:, 2]))
     return float(np.sign(look)) if abs(look) > 0.01 else 0.0
 
@@ -234,6 +238,7 @@ def _side(echoes: Echoes, track: Course, z: float, side: str | None) -> tuple[in
     if side is not None:
         _checks.choice("side", side, SIDES)
         up = np.sign(track.height - z) or -_down(echoes) or 1.0  # the sonar is above the seabed
+        up *= track.sailed
         return {"port": int(up), "starboard": -int(up), "both": 0}[side], f"--side {side}"
     if echoes.beam is None:
         return 1, "no beam or --side tells which"

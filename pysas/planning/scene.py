@@ -13,7 +13,7 @@ from pysas._checks import ComplexArray, FloatArray
 from pysas.engine import MONOSTATIC, MOVING, STOP_AND_HOP
 from pysas.engine.traces import BEAM, CONE, FAN, NO_BEAM, TRACE, Records, record
 from pysas.model import beam as beams
-from pysas.model.echoes import EDGE, Echoes
+from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 
 UNIFORM = "uniform-angle"
@@ -238,7 +238,7 @@ class Scene:
         left, pixels = self._pairs(finite)
         for trace in left[:, None]:
             index, share = self._look(trace, pixels, np.arange(len(pixels))[None])
-            if np.any((index >= -EDGE) & (index <= self.n_sample - 1 + EDGE) & (share > 0)):
+            if np.any(self._within(trace, index) & (share > 0)):
                 return False
         return True
 
