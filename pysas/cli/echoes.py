@@ -83,8 +83,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     with _blamed(arguments.samples):
         data, _ = demodulate(samples, fs, fc, band, t0=t0, threads=workers)
     raw = Echoes(
-        data, fs=rate, fc=fc, t0=t0, c=number["c"], tx=where.tx, rx=where.rx, velocity=where.velocity, compressed=False,
-        ping_time=where.ping_time,
+        data, fs=rate, fc=fc, t0=t0, bandwidth=min(band, rate / 1.1), c=number["c"], tx=where.tx, rx=where.rx,
+        velocity=where.velocity, compressed=False, ping_time=where.ping_time,
         attrs={"title": Path(arguments.samples).name, "frame": dataclasses.asdict(where.frame), "pulse_centre": centre},
     )  # fmt: skip
     with _blamed(arguments.pulse):

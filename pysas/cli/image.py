@@ -45,7 +45,9 @@ class Choices:
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
-    sub.add_argument("-o", "--output", metavar="IMAGE", help="image file to write (.npz, .h5)")
+    sub.add_argument(
+        "-o", "--output", metavar="IMAGE", help="image file to write (.npz, .h5); with it and without --png no picture"
+    )
     sub.add_argument("--tol", type=float, default=Choices.tol, help="relative error to keep (default: 1e-3)")
     sub.add_argument(
         "--method", choices=("auto", "backprojection", "ffbp"), default="auto", help="auto: the faster, by prediction"
@@ -102,7 +104,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     choices = Choices(**{name: getattr(arguments, name) for name in names})
     for finding in inspect(echoes):
         if finding.state != "ok" and finding.name != "finite samples":  # which --nan decides about
-            warnings.warn(f"{finding.name}: {finding.text}", stacklevel=1)
+            what = "FAIL, no image of these echoes can be right: " if finding.state == "FAIL" else ""
+            warnings.warn(f"{what}{finding.name}: {finding.text}", stacklevel=1)
     picture, _, summary = imaged(
         arguments.raw, echoes, grid, how, progress, choices, output=output, png=png, overwrite=arguments.overwrite
     )
@@ -148,6 +151,14 @@ def imaged(
     picture = chosen(echoes.data, progress=progress.step("imaging"))
     seconds |= {"prepare": picture.report.prepare_seconds, "sum": picture.report.sum_seconds}
     targets = _targets(picture, echoes) if choices.truth else []
+    if choices.truth and not targets:
+        known = len(np.asarray(echoes.attrs.get("truth_position", ())))
+        where = (
+            f"none of the file's {known} within 1 mm of the plane that is imaged, and inside it"
+            if known
+            else "the file knows none"
+        )
+        warnings.warn(f"--truth: no target: {where}", stacklevel=1)
     if output is not None:
         io.save(output, picture, overwrite=overwrite)
     if png is not None:

@@ -71,11 +71,11 @@ def inspect(echoes: Echoes) -> list[Finding]:
 def _recorded(echoes: Echoes) -> tuple[Echoes, bool]:
     """What all pings recorded that recorded anything, a view, and whether pings can be compared by it.
 
-    Where that is less than a quarter of a record all samples are taken, zeros where nothing was recorded. Pings whose sound
-    speeds jump from one to the next have echoes of one place at different times.
+    Where that is less than a quarter of a record all samples are taken, zeros where nothing was recorded. Pings of other sound
+    speeds have echoes of one place at other times.
     """
     latest = float(np.max(echoes.start_time)) * echoes.fs + echoes.n_sample
-    alike = float(np.max(np.abs(np.diff(echoes.speeds)), initial=0.0)) / echoes.mean_speed * latest < 0.5
+    alike = float(np.ptp(echoes.speeds)) / echoes.mean_speed * latest < 0.5
     if echoes.valid is None:
         return echoes, alike
     windows = echoes.windows

@@ -34,7 +34,7 @@ def along_track(echoes: Echoes) -> Finding:
     median, largest = echoes.phase_centre_spacing()
     text = f"phase centres every {median:.4g} m, largest gap {largest:.4g} m"
     if echoes.beam is None:
-        return Finding("along-track sampling", "ok", text + "; no beam given")
+        return Finding("along-track sampling", "ok", text + _aliases(echoes, median))
     length = echoes.beam.length
     if median > length / 2 * (1 + 1e-9):
         return Finding("along-track sampling", "FAIL", text + f", above D/2 = {length / 2:.4g} m")
@@ -43,6 +43,14 @@ def along_track(echoes: Echoes) -> Finding:
     if largest > length / 4 * (1 + 1e-9):
         return Finding("along-track sampling", "warn", text + f", above D/4 = {length / 4:.4g} m")
     return Finding("along-track sampling", "ok", text + f", within D/4 = {length / 4:.4g} m")
+
+
+def _aliases(echoes: Echoes, gap: float) -> str:
+    """From where on, off broadside, echoes alias that no beam keeps out: sine of a quarter of a wavelength to the gap."""
+    sine = echoes.mean_speed / echoes.fc / 4 / gap if gap > 0 else 1.0
+    return "; no beam given" + (
+        f": what lies more than {np.degrees(np.arcsin(sine)):.3g} deg ahead or astern may alias" if sine < 1 else ""
+    )
 
 
 def beam(echoes: Echoes) -> Finding:
@@ -136,8 +144,9 @@ def _first_jump(bends: FloatArray, echoes: Echoes) -> int | None:
 
 def pulse(echoes: Echoes) -> Finding:
     if echoes.pulse is None:
-        state = "ok" if echoes.compressed else "FAIL"
-        return Finding("pulse", state, "none given" + ("" if echoes.compressed else ": raw echoes cannot be compressed"))
+        state = "ok" if echoes.compressed else "warn"
+        more = "" if echoes.compressed else ": compress(raw, pulse=...) needs it; sweep and conjugation are not looked at"
+        return Finding("pulse", state, "none given" + more)
     seconds = echoes.pulse.duration if isinstance(echoes.pulse, LFM) else (echoes.pulse.size - 1) / echoes.fs
     record = (echoes.n_sample - 1) / echoes.fs
     if seconds > record and not echoes.compressed:

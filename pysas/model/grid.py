@@ -211,7 +211,8 @@ class Grid:
         def span(name: str, values: FloatArray) -> str:
             unit = "rad" if name == "angle" else "m"
             step = f" every {(values[-1] - values[0]) / (values.size - 1):.4g} {unit}" if values.size > 1 else ""
-            return f"  {name:<10} {values[0]:.6g} to {values[-1]:.6g} {unit}{step}"
+            digits = 6 if np.max(np.abs(values)) < 1e4 else 10
+            return f"  {name:<10} {values[0]:.{digits}g} to {values[-1]:.{digits}g} {unit}{step}"
 
         lines = [f"Grid: {self.kind}, {' x '.join(str(n) for n in self.shape)} pixels"]
         lines += [span(name, values) for name, values in self.axes.items()]
