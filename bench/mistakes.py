@@ -370,6 +370,9 @@ told the same every time. Pings shuffled farther apart than the 128 that are com
 - Gaps at the same ranges of all pings, which look like a range without echoes.
 - The sweep's sign on speckle that is alike everywhere and longer than the record: nothing stands out with either.
 - Energy beyond the declared band in raw samples that is white: receivers' noise looks so too, and compression removes it.
+- Two of many receivers exchanged that stand far apart: echoes are followed in four channels.
+- Order and positions where pings have sound speeds of their own, or less than a quarter of the record in common: these are not
+  looked at then. The sweep, and conjugate data, where no pulse is in the file.
 
 ## Uneven phase centres
 
