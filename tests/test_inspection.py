@@ -220,3 +220,7 @@ def test_speeds_that_jump_are_no_other_order() -> None:
         points, np.ones(4), pysas.LFM(100e3, 20e3, 2e-3, "tukey"), tx=tx, rx=tx, fs=40e3, duration=0.024, t0=0.008, c=c
     )
     assert [finding for finding in inspect(raw) if finding.state != "ok"] == []
+
+
+def test_findings_print_as_the_command_does() -> None:
+    assert str(inspect(survey())[0]).startswith("ok    finite samples")

@@ -514,3 +514,10 @@ def test_arguments_are_named():
     for call, kind, text in cases:
         with pytest.raises(kind, match=text.replace("(", r"\(")):
             call()
+
+
+def test_correlation_takes_a_start_of_measured_pulses_alone():
+    raw = scenes.survey((0,), spacing=0.5)
+    grid = pysas.Grid.plane([0.0], [R0])
+    with pytest.raises(ValueError, match="pulse_t0: an LFM begins"):
+        correlation(raw, grid, pulse_t0=5e-4)

@@ -22,7 +22,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         rows = [{"check": f.name, "state": f.state, "text": f.text} for f in findings]
         print(json.dumps({"file": arguments.file, "ok": not failed, "checks": rows}))
     else:
-        print("\n".join(f"{f.state:<5} {f.name:<22} {f.text}" for f in findings))
+        print("\n".join(map(str, findings)))
     return int(failed)
 
 

@@ -59,7 +59,7 @@ def _of_echoes(echoes: Echoes, tol: float, explained: bool) -> tuple[dict[str, A
         z, why = framing.assumed_height(echoes)
         grid, how = framing.default_grid(echoes, z)
         chosen = plan_ahead(echoes, grid, tol)
-    except ValueError as error:  # what the file holds is worth seeing where it cannot be imaged so
+    except (ValueError, TypeError) as error:  # what the file holds is worth seeing where it cannot be imaged so
         return values | {"grid": "none", "plan": f"no plan: {error}"}, "\n".join([*lines, f"no plan: {error}"])
     low, high = np.array([[axis.min(), axis.max()] for axis in grid.axes.values()]).T
     seconds = chosen.predicted_seconds

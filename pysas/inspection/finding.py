@@ -12,3 +12,6 @@ class Finding:
     name: str
     state: str
     text: str
+
+    def __str__(self) -> str:
+        return f"{self.state:<5} {self.name:<22} {self.text}"

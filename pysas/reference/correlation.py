@@ -61,6 +61,8 @@ def correlation(raw: Echoes, grid: Grid, pulse: Any = None, pulse_t0: Any = 0.0)
     if raw.compressed:
         raise ValueError("raw: compressed=True: expected raw echoes")
     pulses, starts = _pulses(raw, pulse), np.broadcast_to(np.asarray(pulse_t0, dtype=np.float64), (raw.n_ping,))
+    if any(isinstance(own, LFM) and start != 0 for own, start in zip(pulses, starts, strict=True)):
+        raise ValueError("pulse_t0: an LFM begins at its own leading edge: expected 0 beside it")
     if raw.velocity is not None:
         raise ValueError("raw: receivers with a velocity: expected stop-and-hop echoes (pysas.reference.phase_centres)")
     raw, clock = raw.whole(), time.perf_counter()
