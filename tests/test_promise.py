@@ -19,30 +19,29 @@ SCENES = 200
 LONGEST = 60.0
 
 
+def broken_of(draw, first):
+    """What of ten seeds from the first on is broken; a hang names the test, and its traceback is the scene's."""
+    broken = []
+    for seed in range(first, first + 10):
+        faulthandler.dump_traceback_later(LONGEST, exit=True)
+        try:
+            broken += [promise.words(o) for o in promise_trial.trial(draw(seed)) if o.verdict == "broken"]
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    return broken
+
+
 @pytest.mark.parametrize("first", range(0, SCENES, 10))
 def test_promise_is_kept(first):
     """Each seed by one instruction set, some by Numba, and by the C library where its structs can say it."""
-    broken = []
-    for seed in range(first, first + 10):
-        # a hang names the test; its traceback is the scene's
-        faulthandler.dump_traceback_later(LONGEST, exit=True)
-        try:
-            broken += [promise.words(o) for o in promise_trial.trial(promise_scenes.draw(seed)) if o.verdict == "broken"]
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+    broken = broken_of(promise_scenes.draw, first)
     assert not broken, "\n" + "\n".join(broken)
 
 
 @pytest.mark.parametrize("first", range(0, SCENES // 2, 10))
 def test_promise_is_kept_of_what_was_recorded_at_each_pings_speed(first):
     """The same of scenes with a sound speed a ping, with windows of what was recorded, or padded with NaN."""
-    broken = []
-    for seed in range(first, first + 10):
-        faulthandler.dump_traceback_later(LONGEST, exit=True)
-        try:
-            broken += [promise.words(o) for o in promise_trial.trial(promise_scenes.recorded(seed)) if o.verdict == "broken"]
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+    broken = broken_of(promise_scenes.recorded, first)
     assert not broken, "\n" + "\n".join(broken)
 
 

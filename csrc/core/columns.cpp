@@ -54,17 +54,22 @@ double pixel(const Raster& raster, bool columns, std::int64_t place, std::int64_
     return raster.first[3 * row + axis] + static_cast<double>(column) * raster.step[3 * row + axis];
 }
 
+// From pixel to pixel along lines that are as far apart as each other, by line `line` of the whole image: a part may
+// have one pixel.
+double step_of(const Raster& raster, const Cut& cut, std::int64_t line, int axis) {
+    const std::int64_t whole = cut.whole_along - 1;
+    return (pixel(raster, cut.columns, whole, line, axis) - pixel(raster, cut.columns, 0, line, axis)) /
+           static_cast<double>(whole);
+}
+
 // Sums lines [left, right) at pixels [begin, end) from one sub-image; they come to lie at `to` on.
 void sum_lines(const Kernels& kernels, ColumnJob job, const Raster& raster, const Cut& cut, std::int64_t begin,
                std::int64_t end, std::int64_t left, std::int64_t right, const Sums& sums, std::int64_t to) {
     const std::int64_t count = end - begin;
     job.count = count;
     double away = 0;
-    // of the whole image's lines: a part may have one pixel
-    const std::int64_t whole = cut.whole_along - 1;
     for (int axis = 0; axis < 2; ++axis) {
-        const double first = pixel(raster, cut.columns, 0, left, axis);
-        job.step[axis] = (pixel(raster, cut.columns, whole, left, axis) - first) / static_cast<double>(whole);
+        job.step[axis] = step_of(raster, cut, left, axis);
         away += (pixel(raster, cut.columns, begin, left, axis) - job.image->centre[axis]) * job.step[axis];
     }
     const bool outward = away > 0;
@@ -93,11 +98,7 @@ struct Ground {
 void sum_relief(const Kernels& kernels, ColumnJob job, const Raster& raster, const Cut& cut, std::int64_t begin,
                 std::int64_t end, std::int64_t left, std::int64_t right, const Sums& sums, std::int64_t first,
                 const Ground& ground) {
-    for (int axis = 0; axis < 2; ++axis) {
-        job.step[axis] =
-            (pixel(raster, cut.columns, cut.whole_along - 1, left, axis) - pixel(raster, cut.columns, 0, left, axis)) /
-            static_cast<double>(cut.whole_along - 1);
-    }
+    for (int axis = 0; axis < 2; ++axis) job.step[axis] = step_of(raster, cut, left, axis);
     const std::int64_t longest = read_at_once(cut.tile_along) * cut.tile_along;
     for (std::int64_t k = left; k < right; ++k) {
         for (std::int64_t from = begin; from < end; from += job.count) {

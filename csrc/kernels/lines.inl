@@ -23,6 +23,21 @@ void read_line(const float* re, const float* im, typename V::vec k, const typena
     }
 }
 
+// The same by the fewest vectors that hold `reach` nodes.
+template <class V, int W>
+void read_nodes(const float* re, const float* im, typename V::vec k, const typename V::vec (&weight)[W], int reach,
+                typename V::vec& out_re, typename V::vec& out_im) {
+    constexpr int one = V::windows >= 1 ? 1 : 0, two = V::windows >= 2 ? 2 : 0, four = V::windows >= 4 ? 4 : 0;
+    if (one && reach <= V::n)
+        read_line<V, W, one>(re, im, k, weight, out_re, out_im);
+    else if (two && reach <= 2 * V::n)
+        read_line<V, W, two>(re, im, k, weight, out_re, out_im);
+    else if (four && reach <= 4 * V::n)
+        read_line<V, W, four>(re, im, k, weight, out_re, out_im);
+    else
+        read_line<V, W, 0>(re, im, k, weight, out_re, out_im);
+}
+
 template <class V, int W>
 void read_column(const ColumnJob& job) {
     using D = Double;
@@ -31,7 +46,6 @@ void read_column(const ColumnJob& job) {
     const SubImage& image = *job.image;
     const Phase<V, 6> phase(tree.sine, tree.cosine);
     constexpr double pi = 3.14159265358979323846;
-    constexpr int one = V::windows >= 1 ? 1 : 0, two = V::windows >= 2 ? 2 : 0, four = V::windows >= 4 ? 4 : 0;
     const auto round = V::set(magic<float>());
     const double apart = ::sqrt(job.step[0] * job.step[0] + job.step[1] * job.step[1]);
     const double ex = job.step[0] / apart, ey = job.step[1] / apart;
@@ -94,14 +108,7 @@ void read_column(const ColumnJob& job) {
                 typename V::vec weight[W], a, b, sine, cosine;
                 weigh<V, W>(taps, V::sub(n, k), weight);
                 const int reach = static_cast<int>(last - first) + W + 2;
-                if (one && reach <= V::n)
-                    read_line<V, W, one>(re, im, own, weight, a, b);
-                else if (two && reach <= 2 * V::n)
-                    read_line<V, W, two>(re, im, own, weight, a, b);
-                else if (four && reach <= 4 * V::n)
-                    read_line<V, W, four>(re, im, own, weight, a, b);
-                else
-                    read_line<V, W, 0>(re, im, own, weight, a, b);
+                read_nodes<V, W>(re, im, own, weight, reach, a, b);
                 const auto ph = V::fma(moved, wave, turned);
                 phase(V::sub(ph, V::sub(V::add(ph, round), round)), sine, cosine);
                 V::store(job.re + to + m, V::fnma(b, sine, V::mul(a, cosine)));

@@ -171,7 +171,6 @@ void read_relief(const ColumnJob& job) {
     const SubImage& image = *job.image;
     const Phase<V, 6> phase(tree.sine, tree.cosine);
     constexpr double pi = 3.14159265358979323846;
-    constexpr int one = V::windows >= 1 ? 1 : 0, two = V::windows >= 2 ? 2 : 0, four = V::windows >= 4 ? 4 : 0;
     const auto round = V::set(magic<float>());
     const Seen<V> seen(job);
     const int count = static_cast<int>(job.count);
@@ -225,14 +224,7 @@ void read_relief(const ColumnJob& job) {
             typename V::vec weight[W], a, b;
             weigh<V, W>(*tree.taps, V::sub(n, k), weight);
             const int wide = static_cast<int>(last - first) + W + 2;
-            if (one && wide <= V::n)
-                read_line<V, W, one>(re, im, own, weight, a, b);
-            else if (two && wide <= 2 * V::n)
-                read_line<V, W, two>(re, im, own, weight, a, b);
-            else if (four && wide <= 4 * V::n)
-                read_line<V, W, four>(re, im, own, weight, a, b);
-            else
-                read_line<V, W, 0>(re, im, own, weight, a, b);
+            read_nodes<V, W>(re, im, own, weight, wide, a, b);
             auto share = V::load(seen.share + m);
             if (lines == 2) {
                 const auto off = V::load(seen.off + m);

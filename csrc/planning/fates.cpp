@@ -152,13 +152,14 @@ double highest_of(const Scene& scene) {
     return 2 * pi * (model.fc + scene.survey.band * model.fs) / model.c;
 }
 
+Point across(const Group& group, const Point& p) { return p - dot(p, group.axis) * group.axis; }
+
 // Sine of the angle between a group's axis and those of its fans, at most.
 double between_axes(const Scene& scene, const Group& group) {
     double most = 0;
     for (const std::int64_t i : group.traces) {
         const Point axis = point(scene.survey.traces[static_cast<std::size_t>(i)].axis);
-        const Point across = axis - dot(axis, group.axis) * group.axis;
-        most = std::max(most, length(across));
+        most = std::max(most, length(across(group, axis)));
     }
     return most;
 }
@@ -170,21 +171,29 @@ double askew(const Scene& scene, const Group& group) {
     return scene.light.shape == fan ? between_axes(scene, group) : 1;
 }
 
+// Until when echoes arrive, s.
+double latest_of(const Scene& scene) { return 2 * scene.farthest / scene.survey.model.c; }
+
+// What transmitter and receiver of a group's own trace together lie beside its axis until echoes arrive, m.
+double beside_axis(const Scene& scene, const Group& group, const Trace& own) {
+    return length(across(group, point(own.tx) - group.centre)) + length(across(group, point(own.rx) - group.centre)) +
+           latest_of(scene) * length(across(group, point(own.velocity)));
+}
+
 // What a group's transmitters and receivers together lie beside its axis: for pixels `closest` m beside it at most
 // straight + bent / closest + twisted / closest^2.
 struct OffAxis {
     double straight = 0, bent = 0, twisted = 0, shift = 0;  // of what is read, m a rad
 
     OffAxis(const Scene& scene, const Group& group, bool alone) {
-        const auto across = [&](const Point& p) { return p - dot(p, group.axis) * group.axis; };
         if (alone) {
-            beside_own(scene, group, across);
+            beside_own(scene, group);
             return;
         }
         for (const std::int64_t i : group.traces) {
             const Trace& trace = scene.survey.traces[static_cast<std::size_t>(i)];
             const Point tx = point(trace.tx), rx = point(trace.rx);
-            const Point out = across(tx - group.centre), back = across(rx - group.centre);
+            const Point out = across(group, tx - group.centre), back = across(group, rx - group.centre);
             straight = std::max(straight, length(out + back));
             bent =
                 std::max(bent, dot(out, out) + dot(back, back) + std::min(length(out), length(back)) * length(tx - rx));
@@ -195,24 +204,22 @@ struct OffAxis {
     // s/2r) apart for a receiver s away, a the sine of the angle to the line's normal. Of that way heights turn by q/r
     // what a line sees that lies q beside the axis, or that is read q/r away for a transmitter there; and as it is read
     // where the delay on the plane, which grows by q^2/4r^2 less than the range, has caught up, q^3/4r^2 are left.
-    template <class Across>
-    void beside_own(const Scene& scene, const Group& group, const Across& across) {
+    void beside_own(const Scene& scene, const Group& group) {
         const auto& traces = scene.survey.traces;
         const Trace& own = traces[static_cast<std::size_t>(own_of(scene, group))];
-        const double c = scene.survey.model.c, latest = 2 * scene.farthest / c;
-        const Point speed = across(point(own.velocity));
+        const double c = scene.survey.model.c, latest = latest_of(scene);
+        const Point speed = across(group, point(own.velocity));
         const double sine =
             scene.light.shape == fan ? std::min(1.0, scene.light.sine_half + between_axes(scene, group)) : 1.0;
         double away = 0;
         for (const std::int64_t i : group.traces) {
             const Trace& trace = traces[static_cast<std::size_t>(i)];
             const Point off = point(trace.rx) - point(own.rx);
-            straight = std::max(straight, length(across(off)) + length(speed) * length(off) * sine / c +
+            straight = std::max(straight, length(across(group, off)) + length(speed) * length(off) * sine / c +
                                               latest * length(point(trace.velocity) - point(own.velocity)));
             away = std::max(away, length(off));
         }
-        shift = length(across(point(own.tx) - group.centre)) + length(across(point(own.rx) - group.centre)) +
-                latest * length(speed);
+        shift = beside_axis(scene, group, own);
         const double q = shift;
         bent = straight * (straight + 2 * q + away) + q * away * sine + length(speed) * away * away / c;
         twisted = q * away * away / 2 + q * q * q / 4;
@@ -235,12 +242,8 @@ std::int64_t own_of(const Scene& scene, const Group& group) {
 }
 
 double own_turn(const Scene& scene, const Group& group) {
-    const Model& model = scene.survey.model;
     const Trace& own = scene.survey.traces[static_cast<std::size_t>(own_of(scene, group))];
-    const auto across = [&](const Point& p) { return length(p - dot(p, group.axis) * group.axis); };
-    const double away = across(point(own.tx) - group.centre) + across(point(own.rx) - group.centre) +
-                        2 * scene.farthest / model.c * across(point(own.velocity));
-    return highest_of(scene) * away;
+    return highest_of(scene) * beside_axis(scene, group, own);
 }
 
 Onto::Onto(const Group& group, double plane)

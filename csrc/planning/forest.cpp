@@ -12,8 +12,8 @@ namespace {
 
 constexpr std::int64_t least_nodes = std::int64_t{1} << 22;  // that trees of any image may have
 constexpr std::int64_t judged_groups = 5, judged_tiles = 500;
-constexpr std::size_t sooner_direct =
-    40;  // traces that are summed in less time than pixels off the plane are read one by one
+// traces that are summed in less time than pixels off the plane are read one by one
+constexpr std::size_t sooner_direct = 40;
 constexpr std::size_t at_once = 16;  // groups whose trees are made side by side, whatever the number of threads
 
 Geometry geometry_of(const Scene& scene) {
@@ -68,9 +68,6 @@ std::int64_t pixels_of(const Numbers& pixels, const std::vector<std::uint8_t>& t
 struct Share {
     double through = 0, everything = 0;
 
-    void count(std::size_t traces, const Numbers& pixels, const Fates& fates) {
-        count(traces, pixels, fates.read, fates.direct);
-    }
     void count(std::size_t traces, const Numbers& pixels, const std::vector<std::uint8_t>& read,
                const std::vector<std::uint8_t>& direct) {
         const auto from_trees = static_cast<double>(pixels_of(pixels, read));
@@ -93,13 +90,11 @@ struct Seen {
 
 struct Layer {
     const Tiled& tiled;
-    std::vector<double> heights;
+    Stacked planes;
     int number;
-    bool alone;
-    double shift;
     std::vector<Seen> seen;  // by group
 
-    double plane() const { return heights[static_cast<std::size_t>(number)]; }
+    double plane() const { return planes.heights[static_cast<std::size_t>(number)]; }
 };
 
 Seen seen_of(const Layer& layer, const Group& group, const Fates& fates) {
@@ -118,7 +113,8 @@ Seen seen_of(const Layer& layer, const Group& group, const Fates& fates) {
         const auto moved = [&](double ground, double by) {
             return ground_from(std::max(slant_of(ground, height) + by, std::abs(height)), height);
         };
-        reading.distance = {moved(reading.distance.low, -layer.shift), moved(reading.distance.high, layer.shift)};
+        reading.distance = {moved(reading.distance.low, -layer.planes.shift),
+                            moved(reading.distance.high, layer.planes.shift)};
     }
     return out;
 }
@@ -152,8 +148,7 @@ struct ForestMaker {
             if (whole && std::find(found.direct.begin(), found.direct.end(), 1) != found.direct.end()) return false;
         }
         for (std::size_t k = 0; k < planes.heights.size(); ++k) {
-            Layer layer{tiled,        planes.heights, static_cast<int>(k),
-                        planes.alone, planes.shift,   std::vector<Seen>(groups.size())};
+            Layer layer{tiled, planes, static_cast<int>(k), std::vector<Seen>(groups.size())};
             each([&](std::size_t g) { layer.seen[g] = seen_of(layer, groups[g], fates[g]); });
             layers.push_back(std::move(layer));
         }
@@ -191,7 +186,7 @@ struct ForestMaker {
                             tiled.end,
                             tiled.flat,
                             layer.plane(),
-                            layer.heights,
+                            layer.planes.heights,
                             layer.number,
                             tiled.pixels,
                             tiled.lines ? tiled.lines->column : 0,
@@ -239,7 +234,7 @@ struct ForestMaker {
         const Tiled& tiled = layer.tiled;
         const Point& axis = group.axis;
         Grown out{{group.traces, seen.fates.read, seen.fates.direct, {}, -1, {axis.x, axis.y, axis.z}}};
-        if (layer.alone) out.tree.own = own_of(scene, group);
+        if (layer.planes.alone) out.tree.own = own_of(scene, group);
         if (seen.readings.empty()) return out;
         std::int64_t floats = 2 * left;
         Subtree below = make_subtree(group, geometry_of(scene), centres, layout, layer.plane(), seen.direction,
@@ -255,8 +250,8 @@ struct ForestMaker {
         if (lit < out.tree.levels.size()) out.tree.lit = static_cast<int>(out.tree.levels.size() - 1 - lit);
         if (tiled.lines && layout.crossing > 0)
             choose_reads(out.tree, group, tiled, layer.plane(), *tiled.lines, layout, turned,
-                         layer.alone ? own_turn(scene, group) : 0);
-        if (!tiled.flat && layer.heights.size() == 1 && group.traces.size() <= sooner_direct) {
+                         layer.planes.alone ? own_turn(scene, group) : 0);
+        if (!tiled.flat && layer.planes.heights.size() == 1 && group.traces.size() <= sooner_direct) {
             for (std::size_t i = 0; i < out.tree.read.size(); ++i) {
                 if (out.tree.read[i] != by_pixels) continue;
                 out.tree.read[i] = unread;
@@ -328,7 +323,7 @@ Served served(const Scene& scene, const std::vector<Tiled>& image, const Layout&
         const Numbers some = wanted_tiles(tiled, judged_tiles);
         for (const Group& group : groups) {
             const Fates fates = fates_of(scene, group, tiled, some, planes, layout, first_step(scene, layout), near);
-            share.count(group.traces.size(), tiled.pixels, fates);
+            share.count(group.traces.size(), tiled.pixels, fates.read, fates.direct);
         }
     }
     return {share.value(), static_cast<int>(deepest), count};

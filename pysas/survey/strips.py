@@ -264,8 +264,11 @@ class _Stream:
             sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
             max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
         )  # fmt: skip
-        x = strip._x(number * strip.columns, strip.columns)
-        grid = Grid._of_heights(x, strip.y, self._ground(number)) if callable(strip.z) else Grid.plane(x, strip.y, strip.z)
+        first, columns = number * strip.columns, strip.columns
+        if callable(strip.z):
+            grid = Grid._of_heights(strip._x(first, columns), strip.y, self._ground(number))
+        else:
+            grid = strip.grid(first, columns)
         self.ground.pop(number, None)
         return Image(one.data, grid, report, one.fc, one.c)
 
