@@ -63,4 +63,4 @@ def test_no_rooms_import_each_other_round_a_corner() -> None:
 def test_a_newcomer_sees_few_doors() -> None:
     built = {"__pycache__", "include", "lib"}  # the C library's, beside an editable installation
     doors = {path.name for path in (ROOT / "pysas").iterdir() if path.is_dir() or path.suffix in (".py", ".typed")}
-    assert len(doors - built) <= 22
+    assert len(doors - built) <= 23

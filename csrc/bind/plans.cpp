@@ -97,7 +97,8 @@ void lines_of(const Places& given, const Point& origin, Pixels& pixels) {
 
 Pixels make_pixels(std::int64_t height, std::int64_t width, const Array<double>& origin,
                    const std::optional<Array<double>>& first, const std::optional<Array<double>>& step, double uneven,
-                   Places points, const std::optional<Array<bool>>& mask) {
+                   Places points, const std::optional<Array<bool>>& mask,
+                   const std::optional<Array<std::int64_t>>& hears) {
     Pixels out;
     out.height = height;
     out.width = width;
@@ -108,7 +109,11 @@ Pixels make_pixels(std::int64_t height, std::int64_t width, const Array<double>&
         out.step.assign(step->data(), step->data() + step->size());
     }
     if (origin.size() != 3) throw py::value_error("pixels: an origin");
-    if (out.first.empty()) lines_of(points, point(origin.data()), out);
+    if (hears) {
+        if (hears->size() != 2 * height || mask) throw py::value_error("pixels: first and last traces of all rows");
+        out.hears.assign(hears->data(), hears->data() + hears->size());
+    }
+    if (out.first.empty() && !hears) lines_of(points, point(origin.data()), out);
     out.points = points_of(std::move(points), height, width, point(origin.data()));
     if (mask) {
         if (mask->size() != height * width) throw py::value_error("pixels: a mask of all");
@@ -121,6 +126,8 @@ Pixels make_pixels(std::int64_t height, std::int64_t width, const Array<double>&
 // Takes over what survey and pixels hold.
 std::shared_ptr<Scene> make_scene(Survey& survey, Pixels& pixels, const Array<double>& low, const Array<double>& high) {
     if (low.size() != 3 || high.size() != 3) throw py::value_error("a scene: corners of a box");
+    if (!pixels.hear(static_cast<std::int64_t>(survey.traces.size())))
+        throw py::value_error("a scene: rows that hear its traces");
     const Released gil;
     return std::make_shared<Scene>(std::move(survey), std::move(pixels), point(low.data()), point(high.data()));
 }
@@ -199,7 +206,7 @@ void bind_plans(py::module_& m) {
              "Weights that change from pixel to pixel.");
     py::class_<Pixels>(m, "Pixels", "Lines about the image's centre, or points, and the mask of those wanted.")
         .def(py::init(&make_pixels), "height"_a, "width"_a, "origin"_a, "first"_a, "step"_a, "uneven"_a, "points"_a,
-             "mask"_a);
+             "mask"_a, "hears"_a = py::none());
     py::class_<Scene, std::shared_ptr<Scene>>(m, "Scene", "What a planner sees of a survey and pixels in a box.")
         .def(py::init(&make_scene), "survey"_a, "pixels"_a, "low"_a, "high"_a);
     py::class_<Done> done(m, "Done", "What became of some data, and the plan that was carried out.");

@@ -50,11 +50,14 @@ class Direct {
           data_(data),
           image_(image),
           order_(used_of(run)),
+          rows_(rows_of(run.recipe.image)),
           tables_(run, data.shape[2], std::min(run.recipe.batch, static_cast<std::int64_t>(order_.size()))) {}
 
     void sum() {
         if (run_.recipe.views)
             add_each();
+        else if (!run_.recipe.image.hears.empty())
+            in_batches({0, 1}, [&](std::int64_t begin, Share share) { add_rows(begin, share); });
         else if (run_.recipe.image.lined())
             in_batches({0, 1}, [&](std::int64_t, Share share) { add_lines(share); });
         else
@@ -114,6 +117,68 @@ class Direct {
             add_to(tables_.terms(), raster, part, own);
             run_.progress.reach(own.done + own.more);
         }
+    }
+
+    // Neighbouring rows that hear the same traces: a tile's at most.
+    struct Rows {
+        std::int64_t begin, end, first, last;
+    };
+    static std::vector<Rows> rows_of(const Image& image) {
+        std::vector<Rows> out;
+        for (std::int64_t row = 0; row < static_cast<std::int64_t>(image.hears.size()) / 2; ++row) {
+            const std::int64_t *heard = image.hears.data() + 2 * row, first = heard[0], last = heard[1];
+            Rows* const before = out.empty() ? nullptr : &out.back();
+            if (before && before->first == first && before->last == last && row - before->begin < tile_rows)
+                ++before->end;
+            else
+                out.push_back({row, row + 1, first, last});
+        }
+        return out;
+    }
+
+    // Rows with their own traces among those of a batch, which are those from `begin` on: some by one thread.
+    void add_rows(std::int64_t begin, Share share) {
+        const Image& image = run_.recipe.image;
+        const Terms<Real>& batch = tables_.terms();
+        const std::int64_t* const order = order_.data() + begin;
+        std::vector<Rows> rows;  // with numbers in the batch
+        for (const Rows& some : rows_) {
+            const std::int64_t from = std::lower_bound(order, order + batch.n_trace, some.first) - order;
+            const std::int64_t to = std::upper_bound(order, order + batch.n_trace, some.last) - order;
+            if (from < to) rows.push_back({some.begin, some.end, from, to});
+        }
+        std::vector<std::int64_t> counted(rows.size());
+        pysas::run(
+            static_cast<std::int64_t>(rows.size()), run_.threads,
+            [&](std::int64_t task) {
+                const Rows& some = rows[static_cast<std::size_t>(task)];
+                Terms<Real> own = batch;
+                own.traces += some.first;
+                own.table += some.first * own.trace_stride;
+                own.n_trace = some.last - some.first;
+                std::vector<double> places;
+                Raster raster{nullptr, nullptr, nullptr, nullptr, some.end - some.begin, image.width, image.count};
+                View<Pixel, 2> part = image_;
+                if (image.lined()) {
+                    raster.first = image.first.data() + 3 * some.begin;
+                    raster.step = image.step.data() + 3 * some.begin;
+                    part.data += some.begin * part.stride[0];
+                } else {
+                    const std::int64_t first = some.begin * image.width;
+                    raster.width *= raster.height;
+                    raster.height = 1;
+                    raster.count = static_cast<int>(std::min<std::int64_t>(block, raster.width));
+                    places.resize(static_cast<std::size_t>(3 * raster.width));
+                    image.points(first, first + raster.width, places.data());
+                    raster.points = places.data();
+                    part.data += first * part.stride[1];
+                }
+                part.shape[0] = raster.height;
+                part.shape[1] = raster.width;
+                counted[static_cast<std::size_t>(task)] = add(run_.kernels, own, raster, part, 1, {});
+            },
+            run_.progress.part(share.done, share.more));
+        for (const std::int64_t n : counted) run_.totals.terms += n;
     }
 
     const double* look_up(std::int64_t begin, std::int64_t end) {
@@ -187,6 +252,7 @@ class Direct {
     const View<const Sample, 3>& data_;
     const View<Pixel, 2>& image_;
     const Numbers order_;
+    const std::vector<Rows> rows_;
     Tables<Real> tables_;
     std::vector<double> places_;
 };

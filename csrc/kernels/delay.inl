@@ -54,12 +54,14 @@ inline double sphere(const double* points, int count, double centre[3]) {
         }
         centre[axis] = (low + high) / 2;
     }
-    double most = 0;
+    double most = 0;  // of squares
     for (int i = 0; i < count; ++i) {
-        const double d = norm(points[3 * i] - centre[0], points[3 * i + 1] - centre[1], points[3 * i + 2] - centre[2]);
+        const double x = points[3 * i] - centre[0], y = points[3 * i + 1] - centre[1],
+                     z = points[3 * i + 2] - centre[2];
+        const double d = x * x + y * y + z * z;
         most = d > most ? d : most;
     }
-    return most * (1 + 1e-12);
+    return ::sqrt(most) * (1 + 1e-12);
 }
 
 // Whether distances out and home that sum to `least` to `most` lie outside, inside or across the record's window. Of

@@ -96,8 +96,7 @@ double sum_seconds(const Scene& scene, const Settings& settings, const Costs& co
     const double beam = scene.light.shape == no_beam                                     ? 1.0
                         : scene.light.terms > 0 && !settings.quick && settings.block > 0 ? faded_cost
                                                                                          : lit_cost;
-    return beam * part * scene.lit() * static_cast<double>(scene.traces()) * static_cast<double>(scene.wanted) * term *
-           1e-9;
+    return beam * part * scene.lit() * static_cast<double>(scene.traces()) * scene.each * term * 1e-9;
 }
 
 }  // namespace pysas

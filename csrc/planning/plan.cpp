@@ -92,6 +92,7 @@ std::int64_t Plan::start(std::size_t trace) const {
 }
 
 bool Plan::wide() const {
+    if (!scene->pixels.hears.empty()) return false;  // each row is a sum of few traces
     std::int64_t rounds = (scene->traces() + settings.batch - 1) / settings.batch, most = 0;
     if (trees) {
         for (const Section& section : trees->forest.sections)
@@ -162,6 +163,7 @@ Recipe Plan::recipe() const {
         std::iota(numbers.begin(), numbers.end(), begin);
         points(numbers, to);
     };
+    out.image.hears = pixels.hears;
     out.image.mask = {pixels.mask.data(), static_cast<std::int64_t>(pixels.mask.size())};
     out.image.count = static_cast<int>(std::min<std::int64_t>(pysas::block, trees ? pixels.width : pixels.size()));
     if (block) {

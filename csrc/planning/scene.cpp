@@ -229,6 +229,13 @@ void find_lines(const double* x, const double* y, const double* height, const Po
     about(origin, pixels);
 }
 
+bool Pixels::hear(std::int64_t traces) const {
+    for (std::size_t row = 0; row < hears.size(); row += 2) {
+        if (hears[row] < 0 || hears[row] > hears[row + 1] || hears[row + 1] >= traces) return false;
+    }
+    return true;
+}
+
 bool Bent::holds(double step, int count) const {
     // a block's weights are looked up over as many pixels at least
     return step * (std::max(count, least_width) - 1) <= rounded * longest &&
@@ -258,6 +265,7 @@ Scene::Scene(Survey given, Pixels image, const Point& bottom, const Point& top)
       kind(kind_of(survey)),
       wanted(pixels.mask.empty() ? pixels.size()
                                  : pixels.size() - std::count(pixels.mask.begin(), pixels.mask.end(), std::uint8_t{0})),
+      each(static_cast<double>(wanted)),
       nearest(HUGE_VAL),
       farthest(0),
       audible(0),
@@ -266,8 +274,18 @@ Scene::Scene(Survey given, Pixels image, const Point& bottom, const Point& top)
       step(longest_step(pixels)),
       slope(slope_of(pixels, survey.traces, kind == Kind::monostatic)) {
     const Model& model = survey.model;
+    std::vector<std::uint8_t> asked(survey.traces.size(), pixels.hears.empty());
+    if (!pixels.hears.empty()) {
+        double pairs = 0;
+        for (std::size_t row = 0; row < pixels.hears.size(); row += 2) {
+            const std::int64_t begin = pixels.hears[row], end = pixels.hears[row + 1] + 1;
+            pairs += static_cast<double>(end - begin) * static_cast<double>(pixels.width);
+            std::fill(asked.begin() + begin, asked.begin() + end, std::uint8_t{1});
+        }
+        each = pairs / static_cast<double>(std::max<std::int64_t>(traces(), 1));
+    }
     for (std::size_t i = 0; i < survey.traces.size(); ++i) {
-        if (survey.weights[i] == 0.0) {
+        if (survey.weights[i] == 0.0 || !asked[i]) {
             heard.push_back(0);
             first.push_back(0);
             last.push_back(0);

@@ -33,9 +33,12 @@ struct Pixels {
     double uneven = 0;                // how far pixels lie off their lines at most, m
     Points points;                    // exact, where lines may be off
     std::vector<std::uint8_t> mask;   // (height, width) 0: not wanted; empty: all are
+    Numbers hears;                    // (height, 2) first and last trace that a row hears; empty: all
 
     bool lined() const { return !first.empty(); }
     bool straight() const { return lined() && !heights.z; }
+    // Whether rows hear traces that there are, if so many are.
+    bool hear(std::int64_t traces) const;
     std::int64_t size() const { return height * width; }
 };
 
@@ -80,6 +83,7 @@ class Scene {
     Point low, high;
     Kind kind;
     std::int64_t wanted;              // pixels
+    double each;                      // pixels that hear a trace, on average, whatever their windows and beams
     double nearest, farthest;         // of a pixel of the box from a transmitter or receiver, m
     Numbers first, last;              // samples that any pixel can ask of each trace, within its record
     std::vector<std::uint8_t> heard;  // traces that weigh anything, of which any pixel can ask for a sample

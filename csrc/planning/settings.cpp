@@ -171,8 +171,8 @@ std::shared_ptr<const Filter> cheapest_filter(const Settings& s, const Scene& sc
             const double over = twice * filter->rate();
             const double term = term_ns(scene, costs, s.narrow, s.block, s.near, degree, over);
             const double coefficients = (degree + 1) * static_cast<double>(s.length) * over;
-            const double cost = static_cast<double>(scene.traces()) *
-                                (static_cast<double>(scene.wanted) * term + coefficients * coefficient_ns(*filter));
+            const double cost =
+                static_cast<double>(scene.traces()) * (scene.each * term + coefficients * coefficient_ns(*filter));
             if (cost < cheapest) cheapest = cost, best = filter;
             break;
         }

@@ -89,7 +89,8 @@ class Survey:
 
 class Pixels:
     """Lines about the image's centre `origin`, how far off them pixels lie at most, m; coordinates of all pixels, as a list
-    (n, 3), as x, y and heights (y, x) of a map, or told by their numbers about the origin; the mask of those wanted."""
+    (n, 3), as x, y and heights (y, x) of a map, or told by their numbers about the origin; the mask of those wanted; first and
+    last trace (row, 2) that rows of points hear, if not all."""
 
     def __init__(
         self,
@@ -103,6 +104,7 @@ class Pixels:
         | tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]
         | Callable[[npt.NDArray[np.int64]], npt.NDArray[np.float64]],
         mask: npt.NDArray[np.bool_] | None,
+        hears: npt.NDArray[np.int64] | None = None,
     ) -> None: ...
 
 class Scene:

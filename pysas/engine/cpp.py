@@ -51,7 +51,7 @@ class Cpp:
         if scene.lines is not None:
             first, step, uneven = np.ascontiguousarray(scene.lines[0] - scene.origin), scene.lines[1], scene.lines[2]
         wanted = None if mask is None else np.ascontiguousarray(mask)
-        pixels = core.Pixels(math.prod(shape[:-1]), shape[-1], scene.origin, first, step, uneven, points, wanted)
+        pixels = core.Pixels(math.prod(shape[:-1]), shape[-1], scene.origin, first, step, uneven, points, wanted, scene.hears)
         seen = core.Scene(survey, pixels, scene.low, scene.high)
         leave = fallback or TREES_MAY_GO
         found: Planned = core.Plan(seen, tol, budget, method, fallback, leave, TREES_MUST_PAY, threads, self.isa())

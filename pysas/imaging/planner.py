@@ -84,6 +84,14 @@ def plan(
     return _plan(echoes, grid, tol, method, threads, backend, weights, nan, fallback)
 
 
+def plan_rows(
+    echoes: Echoes, rows: Grid, hears: npt.NDArray[np.int64], tol: float, threads: int | None, backend: str
+) -> EnginePlan:
+    """Direct sums at rows of points, each of the traces that it alone hears: hears (row, 2), the first and the last, counted
+    through all pings and channels. Rows that lie where nothing was recorded are zero without a word."""
+    return _engine_plan(echoes, rows, tol, "backprojection", threads, backend, hears=hears)[0]
+
+
 @_checks.usual_errors
 def plan_ahead(
     echoes: Echoes,
@@ -116,12 +124,27 @@ def _plan(
     raw: bool = False,
 ) -> Plan:
     """`raw` : whether echoes may be raw as yet."""
+    _checks.choice("nan", nan, ("raise", "mask"))
+    by, scene, engine = _engine_plan(echoes, grid, tol, method, threads, backend, weights, fallback, raw)
+    name = "ffbp" if method == "ffbp" else "backprojection"
+    again = None
+    if nan == "mask":
+        given = UNIFORM if scene.uniform else scene.weights.reshape(echoes.n_ping, -1)
+        again = _anew(echoes, grid, tol, method, threads, backend, given, fallback, raw)
+    return Plan(echoes, grid, tol, scene, engine, _checks.threads(threads), nan, name, by, execute, again)
+
+
+def _engine_plan(
+    echoes: Echoes, grid: Grid, tol: float, method: str, threads: int | None, backend: str,
+    weights: npt.ArrayLike | str | None = None, fallback: bool = True, raw: bool = False,
+    hears: npt.NDArray[np.int64] | None = None,
+) -> tuple[EnginePlan, Scene, Engine]:  # fmt: skip
+    """`raw` : whether echoes may be raw as yet; `hears` : see Scene."""
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes (several: backproject, ffbp, focus)")
     if not isinstance(grid, Grid):
         raise TypeError(f"grid={type(grid).__name__}: expected pysas.Grid")
     _checks.choice("method", method, METHODS)
-    _checks.choice("nan", nan, ("raise", "mask"))
     engine = engine_of(backend)
     if not (echoes.compressed or raw):
         raise ValueError("echoes: raw (compressed=False): expected range-compressed echoes, see pysas.compress")
@@ -131,26 +154,18 @@ def _plan(
             f"{echoes.occupied_bandwidth:g} Hz: expected at least 1.1 x"
         )
     tol = _checks.number("tol", tol, positive=True)
-    scene = Scene(echoes, grid, weights)
+    scene = Scene(echoes, grid, weights, hears)
     _reachable(tol, echoes, scene)
     count = _checks.threads(threads)
     views = _weigh(scene, grid, tol, method != "backprojection", count, engine)
-    budget = tol - views
-    by: EnginePlan
+    budget, stands_in = tol - views, fallback or method == "auto"
     if isinstance(engine, Planning):
-        by = Compiled(scene, grid, tol, budget, views, method, fallback or method == "auto", count, engine)
-    else:
-        by = _interpreted(scene, grid, tol, budget, method, fallback or method == "auto", count, engine)
-    name = "ffbp" if method == "ffbp" else "backprojection"
-    again = None
-    if nan == "mask":
-        given = UNIFORM if scene.uniform else scene.weights.reshape(echoes.n_ping, -1)
-        again = _anew(echoes, grid, tol, method, count, backend, given, fallback, raw)
-    return Plan(echoes, grid, tol, scene, engine, count, nan, name, by, execute, again)
+        return Compiled(scene, grid, tol, budget, views, method, stands_in, count, engine), scene, engine
+    return _interpreted(scene, grid, tol, budget, method, stands_in, count, engine), scene, engine
 
 
 def _anew(
-    echoes: Echoes, grid: Grid, tol: float, method: str, threads: int, backend: str, weights: npt.ArrayLike | str,
+    echoes: Echoes, grid: Grid, tol: float, method: str, threads: int | None, backend: str, weights: npt.ArrayLike | str,
     fallback: bool, raw: bool,
 ) -> Callable[[npt.NDArray[np.int64]], Plan]:  # fmt: skip
     """What plans for windows of what was recorded that are not the echoes'."""

@@ -97,6 +97,8 @@ def _add(
         )  # fmt: skip
 
     order = np.flatnonzero(used)
+    if plan.scene.hears is not None:
+        return _add_rows(plan, plan.scene.hears, order, add, target, progress)
     if plan.forest is not None:
         return factorised.accumulate(plan, plan.forest, used, add, target, progress)
     if plan.scene.each:
@@ -140,6 +142,25 @@ def _add_each(
         tick = _partly(progress, begin / wanted.size, pixels.size / wanted.size)
         totals = totals.more(add(order, raster, part, tick, own)).more(Totals(0.0, weighed, 0))
         target[0, pixels] = part[0]
+    return totals
+
+
+def _add_rows(
+    plan: Interpreted, hears: npt.NDArray[np.int64], order: npt.NDArray[np.int64], add: Callable[..., Totals],
+    target: ComplexArray, progress: Tick,
+) -> Totals:  # fmt: skip
+    """`add` to each row of points the traces that it hears, rows of the same traces together."""
+    width, totals = plan.grid.shape[-1], Totals(0.0, 0.0, 0)
+    runs, which = np.unique(hears, axis=0, return_inverse=True)
+    rows_of = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
+    for number, ((first, last), rows) in enumerate(zip(runs, rows_of, strict=True)):
+        some = order[(order >= first) & (order <= last)]
+        if some.size:
+            pixels = (rows[:, None] * width + np.arange(width)).ravel()
+            raster = Raster(Grid.points(plan.grid.coordinates(pixels)), plan.scene, 0)
+            part = np.zeros((1, pixels.size), dtype=target.dtype)
+            totals = totals.more(add(some, raster, part, _partly(progress, number / len(runs), 1 / len(runs))))
+            target[np.divmod(pixels, target.shape[1])] = part[0]
     return totals
 
 

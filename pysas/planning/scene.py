@@ -15,6 +15,7 @@ from pysas.engine.traces import BEAM, CONE, FAN, NO_BEAM, TRACE, Records, record
 from pysas.model import beam as beams
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
+from pysas.planning.rows import Lines
 
 UNIFORM = "uniform-angle"
 SAMPLED, TRACES = 400, 32  # pixels and traces by whose pairs shares of the terms are guessed
@@ -26,7 +27,10 @@ class Scene:
     """What the planner sees: geometry about the scene's centre, the window of every trace, the shape of the work."""
 
     @np.errstate(over="ignore", invalid="ignore")  # coordinates too large for their squares: tol refuses them
-    def __init__(self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | str | None) -> None:
+    def __init__(
+        self, echoes: Echoes, grid: Grid, weights: npt.ArrayLike | str | None, hears: npt.NDArray[np.int64] | None = None
+    ) -> None:
+        """`hears` : (row, 2) first and last trace, by flat number, that a row of a grid of points hears; None: all."""
         self.fs, self.fc = echoes.fs, echoes.fc
         # the least: wave numbers by it are the largest of any trace
         self.c, self.mean_speed = float(np.min(echoes.speeds)), echoes.mean_speed
@@ -35,7 +39,8 @@ class Scene:
         self.band = echoes.occupied_bandwidth / 2 / echoes.fs
         pings, channels = echoes.n_ping, echoes.n_channel
         self.traces, self.channels = pings * channels, channels
-        self.lines = found = lines(grid)
+        self.hears = hears
+        self.lines = found = lines(grid) if hears is None or isinstance(grid, Lines) else None
         low, high = _box(grid)
         self.origin = (low + high) / 2
         low, high = low - self.origin, high - self.origin
@@ -80,6 +85,11 @@ class Scene:
         self.last = self._index(np.ceil(((far_tx + far_rx) / (trace["c"] - speed) - trace["t0"]) * self.fs))
         begin, end = self.valid.T
         self.heard = (self.last >= begin) & (self.first <= end) & (begin <= end)
+        if hears is not None:
+            steps = np.zeros(self.traces + 1, dtype=np.int64)
+            np.add.at(steps, hears[:, 0], 1)
+            np.add.at(steps, hears[:, 1] + 1, -1)
+            self.heard &= np.cumsum(steps[:-1]) > 0
         self.first, self.last = np.maximum(self.first, begin), np.minimum(self.last, end)
         self.pixels = grid.size if grid.mask is None else int(np.count_nonzero(grid.mask))
         self._grid = grid
@@ -306,6 +316,8 @@ def lines(grid: Grid) -> tuple[FloatArray, FloatArray, float] | None:
     Even means to 1e-9 of the line's length plus the rounding of large coordinates; the deviation adds to the phase error.
     Deviations are those of the float64 coordinates that the grid returns, each rounded by itself.
     """
+    if isinstance(grid, Lines):
+        return grid.first, grid.step, 0.0
     if grid.kind == "points":
         return _lines_of(grid.coords) if grid.coords is not None and grid.coords.ndim > 2 else None
     name = {"plane": "x", "volume": "x", "polar": "r"}.get(grid.kind)
@@ -357,8 +369,13 @@ def _box(grid: Grid) -> tuple[FloatArray, FloatArray]:
             spans.append((np.min(grid.height), np.max(grid.height)))
         corners = np.array(spans, dtype=np.float64).T
         return corners[0], corners[1]
-    points = grid.coords.reshape(-1, 3) if grid.coords is not None else grid.coordinates()
-    return points.min(axis=0), points.max(axis=0)
+    if isinstance(grid, Lines):
+        points = grid.ends
+    else:
+        points = grid.coords.reshape(-1, 3) if grid.coords is not None else grid.coordinates()
+    # column by column: NumPy takes twenty times as long for all three at a time
+    columns = [points[:, k] for k in range(3)]
+    return np.array([np.min(x) for x in columns]), np.array([np.max(x) for x in columns])
 
 
 def distances(points: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
