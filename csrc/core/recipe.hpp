@@ -59,9 +59,9 @@ struct Image {
     std::int64_t height = 0, width = 0;
     std::vector<double> first, step;
     std::function<void(std::int64_t begin, std::int64_t end, double* out)> points;  // (end - begin, 3)
-    Wanted mask;    // (height, width), the caller keeps it
+    Wanted mask;                      // (height, width), the caller keeps it
     std::vector<std::int64_t> hears;  // (height, 2) first and last trace that count for a row's; or all
-    int count = 0;  // pixels of a block
+    int count = 0;                    // pixels of a block
 
     Heights heights;
     std::vector<double> spans;  // (tile, 2) between which these lie

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <complex>
+#include <functional>
 #include <stdexcept>
 #include <utility>
 #include <vector>
@@ -134,6 +135,47 @@ double apart(const std::vector<Single>& a, const std::vector<Single>& b) {
     return std::sqrt(wrong / all);
 }
 
+// The lines of a recipe as points.
+std::function<void(std::int64_t, std::int64_t, double*)> points_of(const Recipe& lines) {
+    return [&lines](std::int64_t begin, std::int64_t end, double* out) {
+        for (std::int64_t i = begin; i < end; ++i) {
+            for (std::size_t axis = 0; axis < 3; ++axis) {
+                const auto row = 3 * static_cast<std::size_t>(i / width) + axis;
+                *out++ = lines.image.first[row] + double(i % width) * lines.image.step[row];
+            }
+        }
+    };
+}
+
+// Rows that hear all traces are the image, and so are those of its two halves together; row i of its own traces is the
+// same from lines and from points, whatever the threads.
+void rows_hear_their_own() {
+    const Recipe lines = recipe();
+    const auto hearing = [&](const std::function<std::pair<std::int64_t, std::int64_t>(std::int64_t)>& of) {
+        Recipe out = lines;
+        for (std::int64_t row = 0; row < height; ++row) {
+            const auto [first, last] = of(row);
+            out.image.hears.insert(out.image.hears.end(), {first, last});
+        }
+        return out;
+    };
+    const auto whole = image_of(lines, 1);
+    CHECK(apart(whole, image_of(hearing([](auto) { return std::make_pair(0, pings - 1); }), 2)) < 1e-6);
+    auto both = image_of(hearing([](auto) { return std::make_pair(0, 12); }), 2);
+    const auto other = image_of(hearing([](auto) { return std::make_pair(13, pings - 1); }), 2);
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] += other[i];
+    CHECK(apart(whole, both) < 1e-6);
+    const Recipe own = hearing([](auto row) { return std::make_pair(2 * row, 7 * row / 2 + 3); });
+    double terms = 0;
+    const auto found = image_of(own, 1, {}, &terms);
+    CHECK(terms == double((3 + 4 + 7 + 8 + 10) * width));  // trace 3 is not used
+    CHECK(apart(found, image_of(own, 3)) == 0);
+    Recipe points = own;
+    points.image.points = points_of(lines);
+    points.image.first.clear();
+    CHECK(apart(found, image_of(points, 2)) < 1e-4);
+}
+
 void recipes_agree() {
     const Recipe lines = recipe();
     double terms = 0;
@@ -142,14 +184,7 @@ void recipes_agree() {
     CHECK(apart(first, image_of(lines, 3)) == 0);
     Recipe points = lines;
     points.image.first.clear();
-    points.image.points = [&](std::int64_t begin, std::int64_t end, double* out) {
-        for (std::int64_t i = begin; i < end; ++i) {
-            for (std::size_t axis = 0; axis < 3; ++axis) {
-                const auto row = 3 * static_cast<std::size_t>(i / width) + axis;
-                *out++ = lines.image.first[row] + double(i % width) * lines.image.step[row];
-            }
-        }
-    };
+    points.image.points = points_of(lines);
     CHECK(apart(first, image_of(points, 2)) < 1e-4);
     for (const bool wide : {false, true}) {
         Recipe lowered = lines;
@@ -300,6 +335,7 @@ void test_recipes() {
     only_what_is_compiled_runs<double>();
     transforms_are_sums();
     recipes_agree();
+    rows_hear_their_own();
     heights_agree();
     runs_stop();
 }
