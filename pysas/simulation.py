@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -27,6 +27,7 @@ from pysas.signal.echoing import DARK, ELEMENT, GAUSSIAN, LAMP, LONG, RECT, ROUN
 
 _TASK_SAMPLES = 1 << 21  # echo samples of one task: some tens of milliseconds
 _BLOCK_BYTES = 32 * 2**20  # of traces being summed in complex128
+_MOST_SCATTERERS = 1e8
 _ALIASED = 1e-3  # share of the pulse's energy outside the sampled band that calls for a warning
 
 Complex = npt.NDArray[np.complex128]
@@ -87,6 +88,65 @@ class Element:
             vectors.append(np.broadcast_to(vector, (n_ping, 3)))
         sizes = np.broadcast_to([self.length, self.height], (n_ping, 2))
         return np.concatenate([*vectors, np.cross(vectors[1], vectors[0]), sizes], axis=1)
+
+
+@_checks.usual_errors
+def seabed(
+    x: Sequence[float], y: Sequence[float], density: float = 60.0, depth: float = 0.0, roughness: float = 0.05, seed: int = 0
+) -> tuple[FloatArray, Complex]:
+    """Scatterers of a rough seabed, whose echoes are speckle, repeatable by `seed`.
+
+    As many as `density` and the area say (rounded) lie independently and evenly over a rectangle, at Gaussian, independent
+    heights about a plane, with circular complex Gaussian amplitudes of mean square 1.
+
+    Parameters
+    ----------
+    x, y : (2,)
+        Least and largest coordinates of the rectangle, m. Along the track it should reach beyond both ends by the farthest
+        range times the tangent of the beam's half-angle and of what the heading turns; across it, from the nearest to the
+        farthest ground range of the record and by half a pulse beyond. What no ping lights costs time alone.
+    density : float
+        Number of scatterers on 1 m2, > 0. The image's speckle is developed (exponential intensity) where a cell of range and
+        along-track resolution holds several; the record's, where a cell of range holds several across the beam.
+    depth : float
+        z of the plane, m: positive below the sonar where z points down. For a slope add it to the points' z.
+    roughness : float
+        Standard deviation of z, m, >= 0.
+    seed : int
+        Of places and amplitudes.
+
+    Returns
+    -------
+    points : (point, 3) float64
+        In m: `simulate`'s `points`.
+    amplitudes : (point,) complex128
+        Its `amplitudes`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range, of the wrong shape or type; a rectangle without a scatterer, or with 1e8 or more.
+
+    Notes
+    -----
+    O(points) time and memory. Add targets by joining theirs to both arrays: a scatterer's mean square is 1.
+    """
+    sides = []
+    for name, value in (("x", x), ("y", y)):
+        low, high = (float(end) for end in _checks.reals(name, value, [(2,)]))
+        if not low < high:
+            raise ValueError(f"{name}={value!r}: expected the least coordinate, then a larger one")
+        sides.append((low, high))
+    density = _checks.number("density", density, positive=True)
+    depth, roughness = _checks.number("depth", depth), _checks.number("roughness", roughness, low=0.0)
+    rng = np.random.default_rng(_checks.whole("seed", seed, low=0))
+    expected = density * math.prod(high - low for low, high in sides)
+    if not 0.5 <= expected < _MOST_SCATTERERS:
+        where = f"{expected:.3g} scatterers on x={x!r}, y={y!r}"
+        raise ValueError(f"density={density!r}: {where}: expected 1 to {_MOST_SCATTERERS:.0e}")
+    n = round(expected)
+    points = np.stack([*(rng.uniform(low, high, n) for low, high in sides), depth + roughness * rng.standard_normal(n)], axis=1)
+    return points, math.sqrt(0.5) * rng.standard_normal((n, 2)).view(np.complex128)[:, 0]
 
 
 @_checks.usual_errors

@@ -110,10 +110,12 @@ def perturbed(
     sway: float = 0.0,
     heave: float = 0.0,
     yaw: float = 0.0,
+    surge: float = 0.0,
+    crab: float = 0.0,
     correlation: float = 10.0,
     seed: int = 0,
 ) -> Track:
-    """A straight track with smooth random sway, heave and yaw, repeatable by `seed`.
+    """A straight track with smooth random sway, heave, yaw and surge, repeatable by `seed`.
 
     Each is rms sqrt(2/M) sum_m cos(kappa_m s + phi_m) over M = 64 harmonics in the along-track distance s, with random
     phases phi_m and one wavenumber kappa_m drawn in each of M equally likely slices of a Gaussian of standard deviation
@@ -128,10 +130,14 @@ def perturbed(
         Displacement in y and in z, rms over many tracks, m. On a track much longer than `correlation` its own rms.
     yaw : float
         Heading, rms, rad. It turns the platform, not the track.
+    surge : float
+        Displacement in x from even spacing, rms, m.
+    crab : float
+        Constant heading, rad, to which `yaw` adds: the platform does not point where it goes.
     correlation : float
         Correlation length, m, > 0.
     seed : int
-        Sway, heave and yaw draw independently: changing one leaves the others.
+        Sway, heave, yaw and surge draw independently: changing one leaves the others.
 
     Returns
     -------
@@ -150,15 +156,17 @@ def perturbed(
     spacing = _checks.number("spacing", spacing, positive=True)
     speed = _checks.number("speed", speed, positive=True)
     correlation = _checks.number("correlation", correlation, positive=True)
-    motion = {name: _checks.number(name, value, low=0.0) for name, value in (("sway", sway), ("heave", heave), ("yaw", yaw))}
+    crab = _checks.number("crab", crab)
+    asked = (("sway", sway), ("heave", heave), ("yaw", yaw), ("surge", surge))
+    motion = {name: _checks.number(name, value, low=0.0) for name, value in asked}
     streams = np.random.SeedSequence(_checks.whole("seed", seed, low=0)).spawn(len(motion))
     s = spacing * np.arange(n, dtype=np.float64)
-    (y, vy), (z, vz), (heading, _) = (
+    (y, vy), (z, vz), (heading, _), (x, vx) = (
         _harmonics(s, rms, correlation, stream) for rms, stream in zip(motion.values(), streams, strict=True)
     )
-    position = _place("start", start, height) + np.stack([s, y, z], axis=1)
-    velocity = speed * np.stack([np.ones(n), vy, vz], axis=1)
-    return Track(position, velocity, heading, s / speed)
+    position = _place("start", start, height) + np.stack([s + x, y, z], axis=1)
+    velocity = speed * np.stack([1 + vx, vy, vz], axis=1)
+    return Track(position, velocity, crab + heading, s / speed)
 
 
 def circular(
