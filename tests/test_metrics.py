@@ -232,3 +232,52 @@ def test_phase_error() -> None:
         metrics.phase_error(np.zeros(3), np.ones(3))
     with pytest.raises(ValueError, match="finite"):
         metrics.phase_error(np.full(3, np.inf), np.ones(3))
+
+
+def test_entropy_and_sharpness_in_closed_form() -> None:
+    """k equal pixels of n: ln k and n/k; a geometric series of intensities r^i: by its sums."""
+    rng = np.random.default_rng(2)
+    for k, n in ((1, 1), (1, 50), (7, 50), (50, 50)):
+        image = np.zeros(n, dtype=complex)
+        image[:k] = 3e-7 * np.exp(2j * np.pi * rng.uniform(size=k))
+        assert metrics.entropy(image.reshape(-1, 1)) == pytest.approx(np.log(k), abs=1e-14)
+        assert metrics.sharpness(image) == pytest.approx(n / k, rel=1e-14)
+    r, n = 0.7, 400
+    image = r ** (np.arange(n) / 2)
+    # q = (1 - r) r^i: -ln(1 - r) - r ln r/(1 - r); sum q^2 = (1 - r)/(1 + r)
+    assert metrics.entropy(image) == pytest.approx(-np.log(1 - r) - r * np.log(r) / (1 - r), rel=1e-13)
+    assert metrics.sharpness(image) == pytest.approx(n * (1 - r) / (1 + r), rel=1e-13)
+
+
+def test_entropy_and_sharpness_of_developed_speckle() -> None:
+    """Independent circular Gaussian pixels: intensity exponential, E e ln e = 1 - Euler's constant, E e^2 = 2."""
+    rng = np.random.default_rng(3)
+    n = 200_000
+    image = rng.standard_normal((n, 2)) @ [1, 1j]
+    # the scatter: sqrt(20/n) of sharpness, about 1/sqrt(n) of entropy
+    assert metrics.sharpness(image) == pytest.approx(2, abs=4 * np.sqrt(20 / n))
+    assert metrics.entropy(image) == pytest.approx(np.log(n) - 1 + np.euler_gamma, abs=4 / np.sqrt(n))
+
+
+def test_entropy_and_sharpness_know_no_scale() -> None:
+    """Levels whose squares are no floats, and pixels in an Image, count the same."""
+    rng = np.random.default_rng(4)
+    data = rng.standard_normal((20, 30)) + 1j * rng.standard_normal((20, 30))
+    image = Image(data, Grid.plane(np.arange(30.0), np.arange(20.0)), Report("test"), 100e3, 1500.0)
+    for measure in (metrics.entropy, metrics.sharpness):
+        value = measure(data)
+        assert measure(image) == value
+        for scale in (1e-200, 1e200):
+            assert measure(scale * data) == pytest.approx(value, rel=1e-13)
+
+
+@pytest.mark.parametrize("measure", [metrics.entropy, metrics.sharpness])
+def test_entropy_and_sharpness_refuse_what_has_no_energy(measure: Any) -> None:
+    with pytest.raises(ValueError, match="image: all zero"):
+        measure(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match=r"image: nan at pixel \(1, 2\)"):
+        measure(np.where(np.arange(12).reshape(3, 4) == 6, np.nan, 1.0))
+    with pytest.raises(ValueError, match=r"image: shape \(0, 4\)"):
+        measure(np.zeros((0, 4)))
+    with pytest.raises(TypeError, match="image: expected real or complex numbers"):
+        measure(np.array(["a"]))

@@ -1,4 +1,4 @@
-"""Measures of an image and of its error: relative error, response width, side lobes, peak position, phase.
+"""Measures of an image against another and of point responses: relative error, width, side lobes, peak position, phase.
 
 Between pixels an image is read as a band-limited signal. Focused images carry a phase ramp (up to 2 k sin(angle)
 rad/m), which may put their spectrum anywhere, even across the Nyquist frequency; so the mean ramp is taken out first
@@ -48,11 +48,11 @@ def relative_error(data: Image | npt.ArrayLike, exact: Image | npt.ArrayLike, le
     ValueError
         Shapes that differ.
     """
-    found, wanted = _pixels("data", data), _pixels("exact", exact)
+    found, wanted = pixels("data", data), pixels("exact", exact)
     _same_shape("exact", wanted, found)
     scale = float(np.linalg.norm(wanted))
     if level is not None:
-        incoherent = _pixels("level", level)
+        incoherent = pixels("level", level)
         _same_shape("level", incoherent, found)
         scale = max(scale, float(np.linalg.norm(incoherent)))
     error = float(np.linalg.norm(found - wanted))
@@ -81,7 +81,7 @@ def phase_error(data: Image | npt.ArrayLike, exact: Image | npt.ArrayLike) -> tu
     ValueError
         Shapes that differ, non-finite pixels, or no pixel where both are non-zero.
     """
-    found, wanted = _pixels("data", data), _pixels("exact", exact)
+    found, wanted = pixels("data", data), pixels("exact", exact)
     _same_shape("exact", wanted, found)
     if not (np.isfinite(found).all() and np.isfinite(wanted).all()):
         raise ValueError("data, exact: expected finite pixels")
@@ -252,7 +252,8 @@ def cut(image: Image | npt.ArrayLike, position: tuple[float, float], axis: str) 
     return np.asarray(values), abs((x if axis == "x" else y).step)
 
 
-def _pixels(name: str, value: Image | npt.ArrayLike) -> Complex:
+def pixels(name: str, value: Image | npt.ArrayLike) -> Complex:
+    """Pixels of an image or array, complex128."""
     array = np.asarray(value.data if isinstance(value, Image) else value)
     if array.dtype.kind not in "iufc":
         raise TypeError(f"{name}: expected real or complex numbers, found dtype {array.dtype}")
@@ -334,7 +335,7 @@ class _Axis:
 
 
 def _plane(image: Image | npt.ArrayLike) -> tuple[Complex, _Axis, _Axis]:
-    data = _pixels("image", image)
+    data = pixels("image", image)
     if isinstance(image, Image):
         if image.grid.kind not in ("plane", "surface"):
             raise ValueError(f"image: expected a plane or surface grid, found {image.grid.kind} (or pass image.data)")
@@ -353,7 +354,7 @@ class _Cut:
 
     def __init__(self, values: npt.ArrayLike) -> None:
         found = np.asarray(values)
-        samples = _pixels("cut", found)
+        samples = pixels("cut", found)
         if samples.ndim != 1 or samples.size < 3:
             raise ValueError(f"cut: expected a vector of at least 3 samples, found shape {samples.shape}")
         if not np.isfinite(samples).all() or not samples.any():
