@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from pysas import _checks
 from pysas._checks import FloatArray
 
-__all__ = ["Track", "array", "circular", "perturbed", "straight"]
+__all__ = ["Track", "array", "circular", "inertial", "perturbed", "straight"]
 
 _HARMONICS = 64
 
@@ -220,6 +220,67 @@ def circular(
     return Track(position, velocity, yaw, radius * np.abs(turned) / speed)
 
 
+def inertial(
+    track: Track,
+    speed: float = 5e-3,
+    bias: float = 3e-3,
+    gyro: float = 1e-5,
+    depth: float = 5e-4,
+    heading: float = 0.0,
+    seed: int = 0,
+) -> Track:
+    """What an inertial navigation system aided by speed and depth claims that `track` was, repeatable by `seed`.
+
+    From the first ping's true place on, horizontal positions drift by the integral of the speed's error, which is white from
+    ping to ping and constant over the time between them; the claimed velocity has the same error. The heading walks away from
+    a constant offset; it errs by itself, and does not turn the positions.
+
+    Parameters
+    ----------
+    track : Track
+        The true one.
+    speed : float
+        Standard deviation of the speed's white error in x and in y, m/s, >= 0.
+    bias : float
+        That of its constant error in x and in y, m/s, >= 0: one draw for the track.
+    gyro : float
+        That of a ping's step of the heading's random walk, rad, >= 0; the first ping has none.
+    depth : float
+        That of the white error of z, m, >= 0; the vertical speed has none.
+    heading : float
+        Constant error of the heading, claimed less true, rad.
+    seed : int
+        The four errors draw independently: changing one leaves the others.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument outside its range or of the wrong type; the message names it.
+
+    Notes
+    -----
+    O(pings) time and memory.
+    """
+    _track(track)
+    asked = (("speed", speed), ("bias", bias), ("gyro", gyro), ("depth", depth))
+    sigma = {name: _checks.number(name, value, low=0.0) for name, value in asked}
+    heading = _checks.number("heading", heading)
+    streams = np.random.SeedSequence(_checks.whole("seed", seed, low=0)).spawn(len(sigma))
+    rngs = dict(zip(sigma, map(np.random.default_rng, streams), strict=True))
+    n = track.n_ping
+    wrong = np.zeros((n, 3))
+    wrong[:, :2] = sigma["bias"] * rngs["bias"].standard_normal(2) + sigma["speed"] * rngs["speed"].standard_normal((n, 2))
+    drift = np.zeros((n, 3))
+    drift[1:] = np.cumsum(wrong[:-1] * np.diff(track.time)[:, None], axis=0)
+    drift[:, 2] = sigma["depth"] * rngs["depth"].standard_normal(n)
+    walk = np.concatenate([[0.0], np.cumsum(sigma["gyro"] * rngs["gyro"].standard_normal(n - 1))])
+    return Track(track.position + drift, track.velocity + wrong, track.yaw + heading + walk, track.time)
+
+
 def array(track: Track, n_channel: int, spacing: float, offset: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Receivers in a uniform line along the platform's along-track axis.
 
@@ -244,8 +305,7 @@ def array(track: Track, n_channel: int, spacing: float, offset: Sequence[float] 
     ValueError, TypeError
         An argument outside its range; the message names it.
     """
-    if not isinstance(track, Track):
-        raise TypeError(f"track={type(track).__name__}: expected a pysas.tracks.Track")
+    _track(track)
     n = _checks.whole("n_channel", n_channel)
     spacing = _checks.number("spacing", spacing, positive=True)
     along, across, up = _checks.reals("offset", offset, [(3,)])
@@ -253,6 +313,11 @@ def array(track: Track, n_channel: int, spacing: float, offset: Sequence[float] 
     cos, sin = np.cos(track.yaw)[:, None], np.sin(track.yaw)[:, None]
     turned = np.stack([cos * forward - sin * across, sin * forward + cos * across, np.full((track.n_ping, n), up)], axis=-1)
     return np.asarray(track.position[:, None, :] + turned)
+
+
+def _track(value: object) -> None:
+    if not isinstance(value, Track):
+        raise TypeError(f"track={type(value).__name__}: expected a pysas.tracks.Track")
 
 
 def _place(name: str, value: npt.ArrayLike, height: float) -> FloatArray:
