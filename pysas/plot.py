@@ -16,6 +16,8 @@ from pysas._checks import FloatArray
 from pysas.formats import files
 from pysas.model.grid import Grid
 from pysas.model.image import Image
+from pysas.motion.found import Motion
+from pysas.motion.results import Report
 
 Shade = Callable[[npt.NDArray[Any]], FloatArray]
 
@@ -124,6 +126,100 @@ def quicklook(
     if path is not None:
         write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
     return figure
+
+
+def track(
+    found: Motion | Report,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    before: Image | None = None,
+    after: Image | None = None,
+    dynamic_range: float = 40.0,
+    title: str | None = None,
+    overwrite: bool = True,
+) -> Any:
+    """Draw what was found of a track: corrections with what they are sure to, coherence, the image before and after.
+
+    Parameters
+    ----------
+    found : pysas.motion.Motion or pysas.motion.Report
+        Of `micronavigate`; or of `align_points` or `autofocus`, which know shifts alone.
+    path : path, optional
+        As in `quicklook`.
+    before, after : Image, optional
+        With the claimed track and with the corrected one, drawn on one scale of dB relative to the peak of `after`: both, or
+        neither.
+    dynamic_range : float
+        dB shown of the images.
+    title : str, optional
+    overwrite : bool
+        False: a file that is there is an error.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ImportError
+        Without matplotlib; names the extra.
+    ValueError, TypeError
+        Anything else to draw; one image without the other; a suffix that this matplotlib cannot write.
+    OSError
+        From the file system.
+    """
+    if not isinstance(found, Motion | Report):
+        raise TypeError(f"found={type(found).__name__}: expected pysas.motion.Motion or pysas.motion.Report")
+    if (before is None) != (after is None):
+        raise ValueError("before, after: one image alone: expected both or neither")
+    kind = "" if path is None else picture_format(path)
+    rows = 3 if isinstance(found, Motion) else 1
+    figure = _figure(figsize=(7 if before is None else 14, max(2.4 * rows, 4.8)), dpi=_DPI, layout="constrained")
+    tracks, pictures = (figure, None) if before is None else figure.subfigures(1, 2)
+    axes = tracks.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    ping = np.arange(len(found.shift))
+    if isinstance(found, Motion):
+        _draw_motion(axes, ping, found)
+    else:
+        for values, name in zip(found.shift.T, "xyz", strict=True):
+            axes[0].plot(ping, 1e3 * values, lw=1, label=f"along {name}")
+        axes[0].set_ylabel("shift, mm")
+        axes[0].legend(fontsize="small")
+    axes[-1].set_xlabel("ping")
+    tracks.suptitle(str(found).splitlines()[0] if title is None else title, fontsize="medium", wrap=True)
+    if before is not None and after is not None and pictures is not None:
+        peak = float(np.max(np.abs(after.data)))
+        level = 20 * np.log10(peak) if peak > 0 else 0.0
+        for ax, image, name in zip(pictures.subplots(2, 1), (before, after), ("claimed track", "corrected track"), strict=True):
+            quicklook(image, ax=ax, dynamic_range=dynamic_range, reference=level, title=name)
+    if path is not None:
+        write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
+    return figure
+
+
+def _draw_motion(axes: Any, ping: npt.NDArray[np.int64], found: Motion) -> None:
+    """Shifts and turns, each with the band of its standard deviation, and coherence with what was not seen."""
+    shift, turn, seen = axes
+    for values, name, colour in ((found.surge, "surge", "C2"), (found.sway, "sway", "C0"), (found.heave, "heave", "C1")):
+        shift.plot(ping, 1e3 * values, lw=1, color=colour, label=name)
+    low, high = 1e3 * (found.sway - found.track_sigma), 1e3 * (found.sway + found.track_sigma)
+    shift.fill_between(ping, low, high, color="C0", alpha=0.3, lw=0, label="standard deviation, slant")
+    shift.set_ylabel("shift, mm")
+    shift.legend(fontsize="small", ncols=2)
+    turn.plot(ping, 1e3 * found.yaw, lw=1, color="C3")
+    turn.set_ylabel("yaw, mrad")
+    twin = turn.twinx()
+    twin.plot(ping, 1e6 * found.sigma[:, 3], lw=0.8, color="0.5")
+    twin.set_ylim(bottom=0)
+    twin.set_ylabel("sigma a ping, urad", color="0.5")
+    seen.plot(ping[:-1] + 0.5, found.coherence, lw=1, color="C4")
+    for pings, colour, name in ((found.unseen, "C3", "not seen"), (found.slips, "C1", "slip")):
+        if pings:
+            seen.plot(np.array(pings) + 0.5, np.zeros(len(pings)), "|", color=colour, ms=10, label=name)
+    if found.unseen or found.slips:
+        seen.legend(fontsize="small")
+    seen.set_ylim(-0.05, 1.05)
+    seen.set_ylabel("coherence")
 
 
 def _reference(magnitude: npt.NDArray[Any], reference: str | float) -> tuple[float, str]:

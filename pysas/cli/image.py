@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from pysas import _checks, metrics, plot
+from pysas.cli import tracking
 from pysas.cli.common import Command, Progress, add_scene, chosen_grid, has_matplotlib, read, require_places, silenced
+from pysas.cli.tracking import add_motion, corrected
 from pysas.engine import BACKENDS
 from pysas.formats import io
 from pysas.imaging.planner import plan_ahead
@@ -23,13 +27,15 @@ from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.image import Image
 from pysas.model.pulse import LFM
+from pysas.motion.improving import Improved
 from pysas.planning.scene import UNIFORM
 from pysas.signal import compression
 
 
 @dataclass(frozen=True)
 class Choices:
-    """How echoes are compressed, imaged and drawn. `truth` : whether targets that the file knows of are looked for."""
+    """How echoes are compressed, imaged and drawn. `truth` : whether targets that the file knows of are looked for; `track` :
+    what finds a better one in compressed echoes."""
 
     tol: float = 1e-3
     method: str = "auto"
@@ -41,6 +47,7 @@ class Choices:
     dynamic_range: float = 40.0
     reference: str | float = "peak"
     truth: bool = False
+    track: Callable[[Echoes, Grid, Progress], Improved] | None = None
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -70,6 +77,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
         metavar="WHAT",
         help="0 dB of the picture: peak, percentile, or a level in dB",
     )
+    add_motion(sub, "none")
     sub.add_argument("--truth", action="store_true", help="find and mark the targets that the file knows of")
 
 
@@ -100,8 +108,9 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     require_places(inputs, data=output, picture=png, overwrite=arguments.overwrite)
     echoes = read(arguments)
     grid, how = chosen_grid(arguments, echoes)
-    names = [field.name for field in dataclasses.fields(Choices)]
-    choices = Choices(**{name: getattr(arguments, name) for name in names})
+    names = [field.name for field in dataclasses.fields(Choices) if field.name != "track"]
+    track = None if arguments.motion == "none" else functools.partial(corrected, arguments)
+    choices = Choices(**{name: getattr(arguments, name) for name in names}, track=track)
     for finding in inspect(echoes):
         if finding.state != "ok" and finding.name != "finite samples":  # which --nan decides about
             what = "FAIL, no image of these echoes can be right: " if finding.state == "FAIL" else ""
@@ -148,6 +157,10 @@ def imaged(
         compressed = f"matched filter of {_pulse(echoes)}, window {choices.window or 'none'}"
         echoes = compression.compress(echoes, choices.window, threads=threads, progress=progress.step("compressing"))
         seconds["compress"] = time.perf_counter() - clock
+    better = None if choices.track is None else choices.track(echoes, grid, progress)
+    if better is not None and better.changed:
+        echoes = better.echoes
+        chosen = plan_ahead(echoes, grid, tol, choices.method, threads, choices.backend, choices.nan, choices.weights)
     picture = chosen(echoes.data, progress=progress.step("imaging"))
     seconds |= {"prepare": picture.report.prepare_seconds, "sum": picture.report.sum_seconds}
     targets = _targets(picture, echoes) if choices.truth else []
@@ -171,6 +184,9 @@ def imaged(
         "raw": raw, "compressed": compressed, "image": output, "png": png, "grid": how, "shape": list(grid.shape), "tol": tol,
         "c": np.asarray(echoes.c).tolist(), "report": picture.report.as_dict(), "seconds": seconds, "targets": targets,
     }  # fmt: skip
+    if better is not None:
+        summary["motion"] = tracking.summary(better)
+        summary["motion"]["text"] = str(better)
     return picture, echoes, summary
 
 
@@ -212,6 +228,7 @@ def described(picture: Image, summary: dict[str, Any]) -> str:
     lines = [repr(picture), f"  chosen     {summary['grid']}"]
     if summary["compressed"]:
         lines.append(f"  compressed on the way: {summary['compressed']}")
+    lines += summary.get("motion", {}).get("text", "").splitlines()
     lines += [f"  {name + ' written':<10} {summary[name]}" for name in ("image", "png") if summary[name]]
     targets = summary["targets"]
     if targets:
