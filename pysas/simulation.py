@@ -106,8 +106,9 @@ def seabed(
         range times the tangent of the beam's half-angle and of what the heading turns; across it, from the nearest to the
         farthest ground range of the record and by half a pulse beyond. What no ping lights costs time alone.
     density : float
-        Number of scatterers on 1 m2, > 0. The image's speckle is developed (exponential intensity) where a cell of range and
-        along-track resolution holds several; the record's, where a cell of range holds several across the beam.
+        Number of scatterers on 1 m2, > 0. An image's contrast (`metrics.sharpness`) is about 2 + 0.9/n for n scatterers in a
+        cell of range and along-track resolution: developed speckle (2, exponential intensity) takes several. A record needs
+        fewer: its cells are as wide as the beam.
     depth : float
         z of the plane, m: positive below the sonar where z points down. For a slope add it to the points' z.
     roughness : float
@@ -212,7 +213,8 @@ def simulate(
         reception. None: omnidirectional.
     snr_db : float, optional
         Adds complex white Gaussian noise: 10 log10 of the mean |signal|^2 over all samples of all traces (those without
-        an echo too) to the variance of the noise. None: no noise.
+        an echo too) to the variance of the noise. None: no noise. Compression then raises the ratio of a point's peak by the
+        pulse's number of samples (duration fs), of speckle by about fs over the bandwidth alone.
     seed : int, optional
         Of the noise; each (ping, channel) has its own stream of it. None: different every time.
     dtype : complex64 or complex128
@@ -296,10 +298,10 @@ def simulate(
     return echoes
 
 
-def _lamp(beam: Beam | None, n_ping: int) -> tuple[FloatArray, tuple[int, float, float]]:
-    """(ping, LAMP) rows for the kernel, and a beam's kind, half-angle and taper."""
+def _lamp(beam: Beam | None, n_ping: int) -> tuple[FloatArray, tuple[int, float, float, float]]:
+    """(ping, LAMP) rows for the kernel, and a beam's kind, half-angle, taper and a sine beyond which a fan surely ends."""
     if beam is None:
-        return np.zeros((n_ping, LAMP)), (DARK, 0.0, 0.0)
+        return np.zeros((n_ping, LAMP)), (DARK, 0.0, 0.0, 0.0)
     look = np.broadcast_to(beam.boresights, (n_ping, 3))
     if beam.shape == FAN:
         kind, axis = LONG, np.broadcast_to(beam.axes, (n_ping, 3))
@@ -309,7 +311,7 @@ def _lamp(beam: Beam | None, n_ping: int) -> tuple[FloatArray, tuple[int, float,
         axis, middle = axis / np.linalg.norm(axis, axis=1, keepdims=True), look
     middle = middle / np.linalg.norm(middle, axis=1, keepdims=True)
     rows = np.concatenate([middle, axis, np.cross(middle, axis), look], axis=1)
-    return rows, (kind, beam.half_angle, beam.taper)
+    return rows, (kind, beam.half_angle, beam.taper, math.sin(min(beam.half_angle + 1e-6, math.pi / 2)) + 1e-9)
 
 
 def _amplitudes(value: npt.ArrayLike, n_point: int) -> Complex:

@@ -68,11 +68,13 @@ def _look(directive, face, dx, dy, dz, c):  # type: ignore[no-untyped-def]
 @njit(nogil=True, cache=True)
 def _lit(beam, lamp, dx, dy, dz):  # type: ignore[no-untyped-def]
     """What a beam weighs in a direction, from its components along what `lamp` holds."""
-    kind, half, taper = beam
+    kind, half, taper, sine = beam
     if kind == DARK:
         return 1.0
-    ahead = dx * lamp[0] + dy * lamp[1] + dz * lamp[2]
     aside = dx * lamp[3] + dy * lamp[4] + dz * lamp[5]
+    if kind == LONG and aside * aside > sine * sine * (dx * dx + dy * dy + dz * dz):
+        return 0.0  # without the angle, which takes longer
+    ahead = dx * lamp[0] + dy * lamp[1] + dz * lamp[2]
     across = dx * lamp[6] + dy * lamp[7] + dz * lamp[8]
     if kind == ROUND:
         alpha = math.atan2(math.hypot(aside, across), ahead)
@@ -117,6 +119,9 @@ def add_echoes(  # type: ignore[no-untyped-def]
     across, sines, turns = np.zeros(4), np.zeros(4, dtype=np.complex128), np.zeros(4, dtype=np.complex128)
     for i in range(first, last):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        weight = _lit(beam, lamp, x - tx[0], y - tx[1], z - tx[2])
+        if weight == 0.0 and not spreading:
+            continue
         tau, there, dx, dy, dz = _delay(x, y, z, tx, rx, v, c)
         amplitude = amplitudes[i]
         if spreading:
@@ -140,32 +145,38 @@ def add_echoes(  # type: ignore[no-untyped-def]
         before_rx, along_rx, up_rx = _look(directive[1], faces[1], dx, dy, dz, c)
         if not (before_tx and before_rx):
             continue
-        weight = _lit(beam, lamp, x - tx[0], y - tx[1], z - tx[2])
         if weight == 0.0:
             continue
         amplitude *= weight
-        across[0], across[1], across[2], across[3] = along_tx, up_tx, along_rx, up_rx
-        patterned = along_tx != 0.0 or up_tx != 0.0 or along_rx != 0.0 or up_rx != 0.0
+        count = 0
+        for argument in (along_tx, up_tx, along_rx, up_rx):
+            if argument != 0.0:  # else the sinc is 1
+                across[count] = argument
+                count += 1
         amplitude *= _turn(-fc * tau)
         for restart in range(low, high + 1, _RESTART):
             u = start + restart / fs - tau - duration / 2
             value = amplitude * _turn((0.5 * rate * u + offset) * u)
             advance = _turn((rate * (u + 0.5 / fs) + offset) / fs)
-            for k in range(across.size):
+            for k in range(count):
                 sines[k] = _turn(0.5 * (carrier + rate * u) * across[k])
                 turns[k] = _turn(0.5 * rate / fs * across[k])
             for n in range(restart, min(restart + _RESTART, high + 1)):
-                if window == RECT and not patterned:
+                if window == RECT and count == 0:
                     sums[n] += value
                 else:
                     u = start + n / fs - tau - duration / 2
                     gain = _window(window, terms, u, duration)
-                    if patterned:
-                        for k in range(across.size):
-                            x = math.pi * (carrier + rate * u) * across[k]
-                            gain *= sines[k].imag / x if abs(x) > 1e-3 else 1 - x * x / 6
-                            sines[k] *= turns[k]
-                    sums[n] += value * gain
+                    below = 1.0
+                    for k in range(count):
+                        x = math.pi * (carrier + rate * u) * across[k]
+                        if abs(x) > 1e-3:
+                            gain *= sines[k].imag
+                            below *= x
+                        else:
+                            gain *= 1 - x * x / 6
+                        sines[k] *= turns[k]
+                    sums[n] += value * (gain / below)
                 value *= advance
                 advance *= bend
     return -1
