@@ -4,8 +4,8 @@ Unless said otherwise: 100 kHz, 20 kHz, 1500 m/s; a transmitter of 0.10 m amid 1
 phase centres 4 coincide from ping to ping; slant ranges 20 to 45 m; z down, the seabed 8 m below with 5 cm rms roughness, 60
 scatterers a m2, three targets; sway 40 mm, heave 20 mm, yaw 12 mrad, surge 3 mm rms of 3 m correlation; noise 30 dB below the
 compressed record. The claimed track is straight, with heading 0; what an inertial system says is
-`claimed(echoes, pysas.tracks.inertial(truth.track))`. Records are developed speckle; images at 60 scatterers a m2 are not: 0.1 a
-cell and a contrast of 10, where 1000 to 5000 a m2 make one near 2.
+`claimed(echoes, pysas.tracks.inertial(truth.track))`. Records are developed speckle; images at 60 scatterers a m2 are not: 0.1
+a cell and a contrast of 10, where 1000 to 5000 a m2 make one near 2.
 """
 
 from __future__ import annotations
@@ -109,6 +109,7 @@ def scene(
     track = pysas.tracks.perturbed(pings, advance, start=start, seed=seed, **motion)
     if claim is None:
         claim = pysas.tracks.straight(pings, advance, start=start)
+    draw = seed if side > 0 else seed + 1000  # of seabed and noise: each side has its own
     points, amplitudes = np.zeros((0, 3)), np.zeros(0, dtype=complex)
     spare = C * PULSE / 2
     if density > 0:
@@ -116,7 +117,7 @@ def scene(
         left, right = (far * np.tan(HALF_ANGLE + 3 * yaw + sign * side * crab) for sign in (1, -1))
         end = advance * (pings - 1) / 2 + receivers * D
         y = (near, far) if side > 0 else (-far, -near)
-        points, amplitudes = pysas.simulation.seabed((-end - left, end + right), y, density, height, roughness, seed)
+        points, amplitudes = pysas.simulation.seabed((-end - left, end + right), y, density, height, roughness, draw)
         points[:, 2] += slope * (np.abs(points[:, 1]) - 30.0)
     place = np.array([(x, side * y, height + slope * (y - 30.0)) for x, y in targets]).reshape(-1, 3)
     points = np.concatenate([points, place])
@@ -139,7 +140,7 @@ def scene(
             tx_element=pysas.simulation.Element(TX, **element),
             rx_element=pysas.simulation.Element(RX, **element),
             snr_db=snr_db,
-            seed=seed,
+            seed=draw,
             ping_time=track.time,
             threads=threads,
             **geometry,
