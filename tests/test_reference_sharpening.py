@@ -78,7 +78,7 @@ def test_closed_forms():
 
 
 def test_gradient_tells_which_way_echoes_have_to_move():
-    """Echoes moved in fact, by differences over 20 um: the envelope's share of the cost's slope, some bandwidth/fc, is left out."""
+    """Echoes moved in fact, by differences over 20 um: what the gradient leaves out, the envelope's share, is small."""
     echoes, pixels = scene(pings=6)
     off = 1e-3 * np.random.default_rng(5).standard_normal(6)
     shift = np.stack([np.zeros(6), off, np.zeros(6)], axis=1)
@@ -94,7 +94,7 @@ def test_gradient_tells_which_way_echoes_have_to_move():
         step[ping, 1] = 1e-5
         ends = [focus_gradient(moved(shift + sign * step), pixels)[0] for sign in (1, -1)]
         found[ping] = (ends[0] - ends[1]) / 2e-5
-    assert np.linalg.norm(found - gradient[:, 1]) <= 0.1 * np.linalg.norm(found)
+    assert np.linalg.norm(found - gradient[:, 1]) <= 0.03 * np.linalg.norm(found)
 
 
 def test_delays_are_roots():

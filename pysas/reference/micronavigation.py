@@ -7,7 +7,6 @@ Echoes, `reading` and `bounds`.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from pysas import _checks
 from pysas._checks import FloatArray
+from pysas.model.beam import Beam
 from pysas.model.echoes import Echoes
 from pysas.reference.bounds import coherence, phase_noise, slant_noise
 from pysas.reference.reading import Complex, delays, finer, read
@@ -23,7 +23,7 @@ from pysas.reference.reading import Complex, delays, finer, read
 CLIP = 2.0  # of the speckle's rms, beyond which samples are cut: one bright point would be coherent at any separation
 MEDIAN = 0.8326  # of a Rayleigh distribution of rms 1: sqrt(ln 2)
 LEAST_COHERENCE = 0.3
-LEAST_PHASE = 2e-3  # rad: what delays and lines leave beside noise, as long as windows see a seabed of any relief
+LEAST_PHASE = 2e-3  # rad, beside the noise: lines follow the middle of the beam alone
 SEARCH = 3.0  # samples of delay either way, in the first pass
 FEW = 4.0  # standard deviations from which a row counts for less (Cauchy)
 PASSES = 3  # of the weights
@@ -100,25 +100,25 @@ def displaced_phase_centres(
     Raises
     ------
     ValueError, TypeError
-        Raw echoes, no beam, fewer than two channels or pings, a velocity without times, two pings of which fewer than two pairs
-        of phase centres overlap (the earlier is named), an argument out of range.
+        Raw or non-finite echoes, no beam, fewer than two channels or pings, a velocity without times, two pings of which fewer
+        than two pairs of phase centres overlap (both are named), an argument out of range.
 
     Notes
     -----
     For every pair of channels a line of points lies on the seabed along the mean boresight, at slant ranges c/(2 fs) apart,
-    from where the two-way beam has its middle: transmitter and receivers weigh as the squares of their lengths, receivers being
-    where they receive. Both traces are read at these points' exact delays, on the carrier, A and B (B later by a common lag that
-    the envelope gives in the first pass), limited to twice the speckle's rms; C = sum B conj(A) over windows. A point's true
-    two-way path is 2 u.delta shorter than the claimed, so
+    from where the two-way beam has its middle: transmitter and receivers weigh as the squares of their lengths, receivers
+    where they receive. Both traces are read at these points' exact delays, on the carrier, A and B (B later by a common lag,
+    which the envelope gives in the first pass), limited to twice the speckle's rms; C = sum B conj(A) over windows. A point's
+    true two-way path is 2 u.delta shorter than the claimed, so
 
     u.(delta_q - delta_p) + (turn_p + turn_q)/2 (z x u).(P_q - P_p) = -(c/2) (lag - arg C/(2 pi fc)),
 
-    delta = d + turn z x (P - middle of the ping), P phase centres; its second term is that lines of sight turn with the beams.
-    Rows have the standard deviations of `bounds.phase_noise`. Coherences at several separations give the advance: A T(s + surge),
-    `bounds.coherence`, least squares. All rows of the line are solved at once, with Cauchy's weights.
+    with delta = d + turn z x (P - middle of the ping) and P phase centres; the second term says that lines of sight turn with
+    the beams. Rows have the standard deviations of `bounds.phase_noise`. Coherences at several separations s give the surge, by
+    least squares of A T(s + surge), T being `bounds.coherence`. All rows of the line are solved at once, with Cauchy's weights.
 
-    A. Bellettini and M. A. Pinto 2002, IEEE J. Oceanic Eng. 27, 780 (displaced phase centres). O(ping^3 + ping channel sample)
-    time and 130 bytes a sample.
+    Displaced phase centres: A. Bellettini and M. A. Pinto 2002, IEEE J. Oceanic Eng. 27, 780. O(ping^3 channel) time for the
+    dense solution, which rules beyond 100 pings, and 130 bytes a sample.
     """
     elements = _checked(echoes, elements)
     seabed = _checks.number("seabed", seabed)
@@ -139,18 +139,28 @@ def _checked(echoes: Echoes, elements: tuple[float, float] | None) -> tuple[floa
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
-    if echoes.beam is None:
-        raise ValueError("echoes: beam=None: expected one, which tells where the sonar looks")
+    _looks(echoes)
     if echoes.n_ping < 2 or echoes.n_channel < 2:
         raise ValueError(f"echoes: {echoes.n_ping} pings, {echoes.n_channel} channels: expected at least two of each")
     if echoes.velocity is not None and echoes.ping_time is None:
         raise ValueError("echoes: ping_time=None beside a velocity: expected the times in which a displacement alters it")
+    finite = np.isfinite(echoes.whole().traces).all(axis=(1, 2))
+    if not finite.all():
+        raise ValueError(f"echoes: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
     if elements is None:
-        return echoes.beam.length, echoes.beam.length
+        length = 0.0 if echoes.beam is None else echoes.beam.length
+        return length, length
     lengths = [_checks.number("elements", length, low=0.0) for length in elements]
     if len(lengths) != 2 or not sum(lengths) > 0:
         raise ValueError(f"elements={elements!r}: expected the lengths of transmitter and receivers, not both 0")
     return lengths[0], lengths[1]
+
+
+def _looks(echoes: Echoes) -> FloatArray:
+    """(ping, 3) directions in which the beam looks."""
+    if echoes.beam is None:
+        raise ValueError("echoes: beam=None: expected one, which tells where the sonar looks")
+    return np.broadcast_to(echoes.beam.boresights, echoes.tx.shape)
 
 
 def _moved(echoes: Echoes, by: FloatArray) -> Echoes:
@@ -164,8 +174,8 @@ def _moved(echoes: Echoes, by: FloatArray) -> Echoes:
     if velocity is not None and echoes.ping_time is not None:
         rate = np.gradient(by, echoes.ping_time, axis=0)
         velocity = velocity + rate[:, None, :3] + rate[:, None, 3:] * np.cross(UP, arms)
-    look = np.einsum("ijp,pj->pi", turn, np.broadcast_to(echoes.beam.boresights, echoes.tx.shape))  # type: ignore[union-attr]
-    beam = dataclasses.replace(echoes.beam, boresight=look, axis=None)  # type: ignore[type-var]
+    look = np.einsum("ijp,pj->pi", turn, _looks(echoes))
+    beam = Beam(look, length=1.0, half_angle=np.pi / 2)  # for its direction alone
     return echoes.replace(tx=tx, rx=(middle + by[:, :3])[:, None] + arms, velocity=velocity, beam=beam)
 
 
@@ -199,7 +209,7 @@ class _Reader:
     def sight(self, p: int, search: bool) -> _Sight:
         """What pings p and p + 1 see of each other; with `search`, after the envelope's common lag is found."""
         q = p + 1
-        side = np.sum(np.broadcast_to(self.echoes.beam.boresights, self.echoes.tx.shape)[[p, q]], axis=0)  # type: ignore[union-attr]
+        side = _looks(self.echoes)[[p, q]].sum(axis=0)
         side = side * [1, 1, 0] / np.hypot(side[0], side[1])
         forward = np.cross(side, UP)
         forward *= np.sign(forward @ (self.centres[q].mean(axis=0) - self.centres[p].mean(axis=0)))
@@ -214,9 +224,12 @@ class _Reader:
         b = self._limited(np.array([self._read(q, j, line, lag) for (_, j), line in zip(pairs, points, strict=True)]))
         product = np.sum(b * a.conj(), axis=-1)
         count = 2 * self.window * self.echoes.occupied_bandwidth / self.c
-        squared = np.abs(product) ** 2 / (np.sum(np.abs(a) ** 2, axis=-1) * np.sum(np.abs(b) ** 2, axis=-1))
+        powers = np.sum(np.abs(a) ** 2, axis=-1) * np.sum(np.abs(b) ** 2, axis=-1)
+        squared = np.abs(product) ** 2 / np.where(powers > 0, powers, 1)
         gamma = np.sqrt(np.clip(squared - (1 - squared) / count, 1e-6, 1))  # chance alone gives 1/count
-        noise = np.hypot(phase_noise(gamma, window=self.window, bandwidth=self.echoes.occupied_bandwidth, c=self.c), LEAST_PHASE)
+        noise = np.hypot(
+            phase_noise(gamma, window=self.window, bandwidth=self.echoes.occupied_bandwidth, c=self.c), LEAST_PHASE
+        )
         sigma = np.where(gamma < LEAST_COHERENCE, np.inf, slant_noise(noise, self.wavelength))
         slant = -self.c / 2 * (lag - np.angle(product) / (2 * np.pi * self.echoes.fc))
         ends = self.centres[p, pairs[:, 0]], self.centres[q, pairs[:, 1]]
@@ -282,7 +295,8 @@ class _Reader:
             found[n] = np.sum(np.abs(np.sum(self._limited(b) * first, axis=-1)) ** 2)
         top = int(np.clip(np.argmax(found), 1, tried.size - 2))
         before, at, after = found[top - 1 : top + 2]
-        return float(tried[top] + step / 2 * (before - after) / (before - 2 * at + after))
+        bend = before - 2 * at + after
+        return float(tried[top] + (step / 2 * (before - after) / bend if bend < 0 else 0.0))
 
     def _surge(self, apart: FloatArray, gamma: FloatArray) -> float:
         """The displacement e at which A T(apart + e) fits the coherences best, A the best for each e."""

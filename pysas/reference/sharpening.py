@@ -36,7 +36,8 @@ def focus_gradient(
     Raises
     ------
     ValueError, TypeError
-        Raw echoes, pings of different sound speeds, another metric, an argument of the wrong shape, an image of zeros.
+        Raw or non-finite echoes, pings of different sound speeds, another metric, an argument of the wrong shape, an image of
+        zeros.
 
     Notes
     -----
@@ -51,6 +52,10 @@ def focus_gradient(
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
     if not echoes.compressed:
         raise ValueError("echoes: compressed=False: expected range-compressed echoes (pysas.compress)")
+    echoes = echoes.whole()
+    finite = np.isfinite(echoes.traces).all(axis=(1, 2))
+    if not finite.all():
+        raise ValueError(f"echoes: non-finite sample at ping {int(np.argmin(finite))}: expected finite samples")
     points = _checks.reals("pixels", pixels, [("pixel", 3)], ("pixel",))
     _checks.choice("metric", metric, ("entropy", "sharpness"))
     delta = np.zeros((echoes.n_ping, 3))
@@ -60,7 +65,7 @@ def focus_gradient(
     centres = (echoes.tx + echoes.receivers.mean(axis=1)) / 2
     look = points - centres[:, None]
     look /= np.linalg.norm(look, axis=-1, keepdims=True)
-    terms = _contributions(echoes.whole(), points) * np.exp(-1j * k2 * np.einsum("pxi,pi->px", look, delta))
+    terms = _contributions(echoes, points) * np.exp(-1j * k2 * np.einsum("pxi,pi->px", look, delta))
     image = terms.sum(axis=0)
     power = np.abs(image) ** 2
     total = power.sum()
