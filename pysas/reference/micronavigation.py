@@ -20,7 +20,7 @@ from pysas.model.echoes import Echoes
 from pysas.reference.bounds import coherence, phase_noise, slant_noise
 from pysas.reference.reading import Complex, delays, finer, read
 
-CLIP = 2.0  # of the speckle's rms, beyond which samples are cut: one bright point would be coherent at any separation
+CLIP = 2.0  # of the speckle's rms, beyond which samples are cut: no bright point shall stand for its window
 MEDIAN = 0.8326  # of a Rayleigh distribution of rms 1: sqrt(ln 2)
 LEAST_COHERENCE = 0.3
 LEAST_PHASE = 2e-3  # rad, beside the noise: lines follow the middle of the beam alone
