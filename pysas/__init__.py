@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as _numpy  # noqa: F401  by one thread, before names are asked for by several
 
 if TYPE_CHECKING:
-    from pysas import circular, comparison, metrics, navigation, plot, reference, simulation, tracks
+    from pysas import circular, comparison, metrics, motion, navigation, plot, reference, simulation, tracks
     from pysas.engine import get_include, get_library, show_config
     from pysas.formats.io import load, load_echoes, load_image, save
     from pysas.formats.tables import read_table
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
+    from pysas.motion.navigating import micronavigate
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
@@ -33,7 +34,7 @@ __version__ = "0.1.0"
 __all__ = [
     "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
     "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect",
-    "load", "load_echoes", "load_image", "metrics", "navigation", "plan", "plot", "read_table", "reference", "save",
+    "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion", "navigation", "plan", "plot", "read_table", "reference", "save",
     "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
@@ -49,6 +50,7 @@ _MODULES = {
     "model.grid": ("Grid",),
     "model.image": ("Image", "Report"),
     "model.pulse": ("LFM",),
+    "motion.navigating": ("micronavigate",),
     "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
     "inspection": ("Finding", "inspect"),

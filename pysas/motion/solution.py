@@ -1,0 +1,99 @@
+"""One least-squares solution of a whole track: block-tridiagonal normal equations, their solution and variances, O(pings)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from pysas._checks import FloatArray
+from pysas.motion.priors import HEADING, POSITION, STEP, TURN, Prior
+
+
+class Equations:
+    """Normal equations of x, y, z and turn of each ping: blocks on the diagonal, and of a ping (row) and the one before it."""
+
+    def __init__(self, pings: int) -> None:
+        self.diagonal = np.zeros((pings, 4, 4))
+        self.beside = np.zeros((pings - 1, 4, 4))
+        self.right = np.zeros((pings, 4))
+
+    def add(self, normal: FloatArray, right: FloatArray) -> None:
+        """Those of each two consecutive pings, (ping - 1, 8, 8) and (ping - 1, 8)."""
+        self.diagonal[:-1] += normal[:, :4, :4]
+        self.diagonal[1:] += normal[:, 4:, 4:]
+        self.beside += normal[:, 4:, :4]
+        self.right[:-1] += right[:, :4]
+        self.right[1:] += right[:, 4:]
+
+    def believe(self, beliefs: Beliefs, track: FloatArray) -> None:
+        """That a track (ping, 4) and what is sought beyond it are as small as is believed."""
+        each, step = 1 / beliefs.each**2, 1 / beliefs.step**2
+        k = np.arange(4)
+        self.diagonal[:, k, k] += each
+        self.diagonal[1:, k, k] += step
+        self.diagonal[:-1, k, k] += step
+        self.beside[:, k, k] -= step
+        self.right -= each * track
+        pull = step * np.diff(track, axis=0)
+        self.right[1:] -= pull
+        self.right[:-1] += pull
+
+    def banded(self) -> FloatArray:
+        """(8, 4 ping) lower bands, as scipy.linalg.solveh_banded has them."""
+        bands = np.zeros((8, 4 * len(self.diagonal)))
+        for a in range(4):
+            for b in range(4):
+                if a >= b:
+                    bands[a - b, b::4] += self.diagonal[:, a, b]
+                bands[4 + a - b, b:-4:4] += self.beside[:, a, b]
+        return bands
+
+    def solve(self) -> FloatArray:
+        """(ping, 4)."""
+        return np.asarray(scipy.linalg.solveh_banded(self.banded(), self.right.ravel(), lower=True)).reshape(-1, 4)
+
+    def slant_variance(self, looks: FloatArray, basis: FloatArray) -> FloatArray:
+        """(ping,) variances of the track along `looks` (ping, 3) without what lies in the orthonormal `basis` (ping, n)."""
+        pings = len(self.diagonal)
+        ahead, gains = [self.diagonal[0]], []
+        for p in range(pings - 1):
+            gains.append(np.linalg.solve(ahead[-1], self.beside[p].T).T)
+            ahead.append(self.diagonal[p + 1] - gains[-1] @ self.beside[p].T)
+        covariance = np.linalg.inv(ahead[-1])
+        own = np.empty(pings)
+        for p in range(pings - 1, -1, -1):
+            if p < pings - 1:
+                covariance = np.linalg.inv(ahead[p]) + gains[p].T @ covariance @ gains[p]
+            own[p] = looks[p] @ covariance[:3, :3] @ looks[p]
+        along = np.zeros((pings, 4, basis.shape[1]))
+        along[:, :3] = looks[:, :, None] * basis[:, None, :]
+        flat = along.reshape(4 * pings, -1)
+        answer = np.asarray(scipy.linalg.solveh_banded(self.banded(), flat, lower=True))
+        cross = np.einsum("px,pxn->pn", looks, answer.reshape(pings, 4, -1)[:, :3])
+        return np.asarray(own - 2 * np.sum(basis * cross, axis=1) + np.einsum("pn,nm,pm->p", basis, flat.T @ answer, basis))
+
+
+class Beliefs:
+    """Standard deviations of x, y, z and turn of each ping (4,), and of their changes from ping to ping (ping - 1, 4)."""
+
+    def __init__(self, prior: Prior, pings: int, times: FloatArray | None) -> None:
+        self.each = np.array([POSITION, POSITION, POSITION, prior.heading or HEADING])
+        self.step = np.tile([STEP, STEP, prior.depth or STEP, prior.gyro or TURN], (pings - 1, 1))
+        if prior.speed is not None:
+            if times is None:
+                raise ValueError(
+                    f"prior: speed={prior.speed!r}: expected echoes whose pings have times: ping_time, or a velocity to tell them by"
+                )
+            self.step[:, :2] = (prior.speed * np.abs(np.diff(times)))[:, None]
+
+    def residual(self, track: FloatArray) -> float:
+        """Root mean square of the changes of a track (ping, 4) over what is believed of them."""
+        return float(np.sqrt(np.mean((np.diff(track, axis=0) / self.step) ** 2)))
+
+
+def gauge(looks: FloatArray, places: FloatArray) -> FloatArray:
+    """Orthonormal (ping, n): what a shift, and a turn about z, of the whole track change along lines of sight (ping, 3)."""
+    places = places - places.mean(axis=0)
+    turn = looks[:, 1] * places[:, 0] - looks[:, 0] * places[:, 1]
+    basis, sizes, _ = np.linalg.svd(np.column_stack([looks, turn / max(float(np.abs(places).max()), 1e-9)]), full_matrices=False)
+    return np.asarray(basis[:, sizes > 1e-6 * sizes[0]])
