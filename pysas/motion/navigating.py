@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pysas import _checks, _pool
-from pysas._checks import FloatArray
+from pysas._checks import ComplexArray, FloatArray
 from pysas.model.echoes import Echoes
 from pysas.motion import correlating
 from pysas.motion.found import Motion, applied
@@ -195,7 +195,7 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     most = reach / 2 if first else 1.0
     fine = np.arange(-round(most * _FINER), round(most * _FINER) + 1) / _FINER
     height = np.zeros((len(rows.used), fine.size))
-    filters = _interpolator(fine, reach)
+    filters = _interpolator(fine, reach, cycle)
     for slot in np.flatnonzero(base):
         height += np.sum(np.abs(rows.products[:, slot] @ filters) ** 2 * rows.count[:, slot, :, None], axis=1)
     envelope = _peak(height, fine)
@@ -207,7 +207,7 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     envelope_error = phase_error * np.sqrt(12) / (2 * np.pi * echoes.occupied_bandwidth) * echoes.fs
     slip = np.abs(envelope) > np.maximum(0.6 * cycle, 4 * envelope_error)
     lag = np.where(first | slip, envelope, 0.0)
-    product = np.einsum("pswm,mp->psw", rows.products, _interpolator(lag, reach))
+    product = np.einsum("pswm,mp->psw", rows.products, _interpolator(lag, reach, cycle))
     squared = np.minimum(np.abs(product) ** 2, 1.0)
     number = rows.count
     squared = np.where(number > 0, squared - (1 - squared) / np.maximum(number, 1), 0.0)
@@ -231,11 +231,13 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     )  # fmt: skip
 
 
-def _interpolator(at: FloatArray, reach: int) -> FloatArray:
-    """(2 reach + 1, at) weights of lags -reach ... reach at fractional ones: a sinc under a Kaiser window."""
-    away = at[None, :] - np.arange(-reach, reach + 1)[:, None]
+def _interpolator(at: FloatArray, reach: int, cycle: float) -> ComplexArray:
+    """(2 reach + 1, at) weights of lags -reach ... reach at fractional ones: a sinc under a Kaiser window, for what each lag's
+    carrier, of a period of `cycle` samples, is first taken from, and then given again: between samples it aliases."""
+    from_ = np.arange(-reach, reach + 1)[:, None]
+    away = at[None, :] - from_
     inside = np.clip(1 - (away / (reach + 1)) ** 2, 0, None)
-    return np.asarray(np.sinc(away) * np.i0(4.0 * np.sqrt(inside)) / np.i0(4.0))
+    return np.asarray(np.sinc(away) * np.i0(4.0 * np.sqrt(inside)) / np.i0(4.0) * np.exp(2j * np.pi * away / cycle))
 
 
 def _peak(height: FloatArray, at: FloatArray) -> FloatArray:
