@@ -1,5 +1,5 @@
-"""Kernels in Numba: lines of points on the seabed, windows of two traces' correlation, and their normal equations. They trust
-their arguments."""
+"""Kernels in Numba: two traces' correlation in windows, and the normal equations of what it says. They trust their
+arguments."""
 
 from __future__ import annotations
 
@@ -10,21 +10,6 @@ from numba import njit
 
 RAYLEIGH = 0.8325546111576977  # median of a Rayleigh distribution over its rms, sqrt(ln 2)
 LIMIT = 2.0  # rms at which a window's amplitudes are clipped: a bright point correlates whatever the separation
-
-
-@njit(nogil=True, cache=True)
-def lines(out, start, rate, across, up, height, near, step):  # type: ignore[no-untyped-def]
-    """Points (row, n, 3) at slant ranges near + n step (row's own) from start + rate range, on the plane `height` beyond the
-    start: along across cos b + up sin b. Those nearer than the plane lie straight on `up`."""
-    for row in range(out.shape[0]):
-        for n in range(out.shape[1]):
-            r = max(near[row] + n * step[row], 1e-9)
-            above = height[row] - rate[row, 2] * r
-            sine = above / (r * up[row, 2])
-            sine = min(max(sine, -1.0), 1.0)
-            cosine = math.sqrt(1.0 - sine * sine)
-            for k in range(3):
-                out[row, n, k] = start[row, k] + r * (rate[row, k] + cosine * across[row, k] + sine * up[row, k])
 
 
 @njit(nogil=True, cache=True)
@@ -48,8 +33,8 @@ def _clipped(value, most):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def windows(first, second, begin, length, products, powers, counts):  # type: ignore[no-untyped-def]
-    """Correlations of rows of two traces (row, n) in windows of `length` samples from `begin` on.
+def windows(first, second, length, products, powers, counts):  # type: ignore[no-untyped-def]
+    """Correlations of rows of two traces (row, n) in windows of `length` samples.
 
     products (row, window, 2 m + 1): sum of second[n + lag] conj(first[n]), lag from -m to m; powers (row, window): root of the
     product of both sums of squares; counts (row, window): samples that both recorded. A window of fewer than half is left 0.
@@ -59,7 +44,7 @@ def windows(first, second, begin, length, products, powers, counts):  # type: ig
     a, b = np.empty(length, dtype=np.complex128), np.empty(length + 2 * reach, dtype=np.complex128)
     for row in range(first.shape[0]):
         for window in range(products.shape[1]):
-            low = begin + window * length
+            low = window * length
             high = low + length
             one = _limit(first[row], low, high, scratch)
             two = _limit(second[row], low, high, scratch)

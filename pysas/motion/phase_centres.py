@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks, _pool
 from pysas._checks import ComplexArray, FloatArray
-from pysas.imaging.contributions import contributions
+from pysas.imaging.contributions import along_lines
 from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.motion import correlating
 
 MOST_PAIRS, MOST_BESIDE = 12, 4  # of channels at the nearest separation, and at each of those a step or more away
-_BATCH_BYTES = 100e6  # of points' coordinates
+_BATCH_BYTES = 100e6  # of the samples of both traces of each pair
+_PIECE = 64  # samples of a line on the seabed that lie evenly
 _TASK_ROWS = 64
 _GRAZING = 0.98  # largest sine of the depression angle at which a range says where on the seabed it is
 
@@ -114,7 +114,7 @@ class Side:
 
     def batches(self, slots: int) -> Iterator[tuple[int, int]]:
         """Pings low ... high - 1 whose lines fit into memory."""
-        each = max(int(_BATCH_BYTES / (24 * self.echoes.n_sample * slots)), 1)
+        each = max(int(_BATCH_BYTES / (16 * self.echoes.n_sample * slots)), 1)
         for low in range(0, self.echoes.n_ping - 1, each):
             yield low, min(low + each, self.echoes.n_ping - 1)
 
@@ -126,19 +126,21 @@ class Side:
         pair, slot = np.nonzero(used)
         which = np.stack([low + pair, low + pair + 1])
         channel = np.stack([first[pair, slot], second[pair, slot]])
-        points, looks = self._lines(which, channel, begin, length, count, threads)
+        heads, looks = self._lines(which, channel, begin, length, count)
+        ways = np.diff(heads, axis=1) / _PIECE
         some = echoes[low : high + 1].replace(beam=None)
         data = []
         for k in range(2):
-            trace = (which[k] - low) * echoes.n_channel + channel[k]
-            data.append(contributions(some, points, np.stack([trace, trace], axis=1), tol=tol, threads=threads))
+            trace = np.repeat((which[k] - low) * echoes.n_channel + channel[k], ways.shape[1])
+            pieces = (heads[:, :-1].reshape(-1, 3), ways.reshape(-1, 3), _PIECE, np.stack([trace, trace], axis=1))
+            data.append(along_lines(some, *pieces, tol=tol, threads=threads).reshape(len(pair), -1))
         products = np.empty((len(pair), count, 2 * reach + 1), dtype=np.complex128)
         powers, counts = np.empty((len(pair), count)), np.empty((len(pair), count))
 
         def task(number: int) -> None:
             rows = slice(number * _TASK_ROWS, (number + 1) * _TASK_ROWS)
             into = (products[rows], powers[rows], counts[rows])
-            _pool.call(correlating.windows, data[0][rows], data[1][rows], begin, length, *into)
+            _pool.call(correlating.windows, data[0][rows], data[1][rows], length, *into)
 
         _pool.run(task, -(-len(pair) // _TASK_ROWS), _checks.threads(threads))
         products /= np.where(powers > 0, powers, 1.0)[:, :, None]
@@ -156,9 +158,10 @@ class Side:
         return Rows(used, order, separation, apart, arms, full, number, sight, self.ahead(low, high), speed)
 
     def _lines(
-        self, which: IntArray, channel: IntArray, begin: int, length: int, count: int, threads: int | None
+        self, which: IntArray, channel: IntArray, begin: int, length: int, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (row, sample, 3) of pairs of traces, and the lines of sight (row, window, 3) to windows' middles."""
+        """Of pairs of traces ends (row, end, 3) of straight pieces of lines on the seabed, each of _PIECE samples of slant range
+        to within its curvature, and lines of sight (row, window, 3) to windows' middles."""
         echoes = self.echoes
         send, hear = (size**2 / (self.elements[0] ** 2 + self.elements[1] ** 2) for size in self.elements)
         start = (send * echoes.tx[which] + hear * echoes.receivers[which, channel]).mean(axis=0)
@@ -168,21 +171,15 @@ class Side:
             rate = hear * echoes.receiver_velocity[which, channel].mean(axis=0) * (2 / speed)[:, None]
         across, up = (direction[which].mean(axis=0) for direction in _plane(self.axis, echoes))
         across, up = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (across, up))
-        height = self.seabed - start[:, 2]
-        step = speed / (2 * echoes.fs)
-        near = near * speed / 2
-        points = np.empty((which.shape[1], echoes.n_sample, 3))
 
-        def task(number: int) -> None:
-            rows = slice(number * _TASK_ROWS, (number + 1) * _TASK_ROWS)
-            into = (start[rows], rate[rows], across[rows], up[rows], height[rows], near[rows], step[rows])
-            _pool.call(correlating.lines, points[rows], *into)
+        def sight(sample: FloatArray) -> tuple[FloatArray, FloatArray]:
+            r = np.maximum(near[:, None] + sample / echoes.fs, 1 / echoes.fs) * speed[:, None] / 2
+            sine = np.clip((self.seabed - start[:, 2:] - rate[:, 2:] * r) / (r * up[:, 2:]), -1, 1)
+            return r[..., None], np.sqrt(1 - sine**2)[..., None] * across[:, None] + sine[..., None] * up[:, None]
 
-        _pool.run(task, -(-len(points) // _TASK_ROWS), _checks.threads(threads))
-        middle = begin + (np.arange(count) + 0.5) * length
-        r = near[:, None] + middle * step[:, None]
-        sine = np.clip((height[:, None] - rate[:, 2:] * r) / (r * up[:, 2:]), -1, 1)
-        return points, np.sqrt(1 - sine**2)[..., None] * across[:, None] + sine[..., None] * up[:, None]
+        r, looks = sight(begin + _PIECE * np.arange(-(-count * length // _PIECE) + 1.0))
+        middles = begin + (np.arange(count) + 0.5) * length
+        return start[:, None] + r * (rate[:, None] + looks), sight(middles)[1]
 
 
 def axes(echoes: Echoes) -> tuple[FloatArray, FloatArray]:

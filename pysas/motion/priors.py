@@ -23,7 +23,7 @@ class Prior:
         Of the change of heading from one ping to the next, rad: what the heading is worth where fewer than two phase centres
         overlap.
     depth : float, optional
-        Of the change of z from one ping to the next, m.
+        Of each ping's z, independent from ping to ping, m.
 
     Raises
     ------

@@ -77,8 +77,8 @@ class Beliefs:
     """Standard deviations of x, y, z and turn of each ping (4,), and of their changes from ping to ping (ping - 1, 4)."""
 
     def __init__(self, prior: Prior, pings: int, times: FloatArray | None) -> None:
-        self.each = np.array([POSITION, POSITION, POSITION, prior.heading or HEADING])
-        self.step = np.tile([STEP, STEP, prior.depth or STEP, prior.gyro or TURN], (pings - 1, 1))
+        self.each = np.array([POSITION, POSITION, prior.depth or POSITION, prior.heading or HEADING])
+        self.step = np.tile([STEP, STEP, np.sqrt(2) * prior.depth if prior.depth else STEP, prior.gyro or TURN], (pings - 1, 1))
         if prior.speed is not None:
             if times is None:
                 raise ValueError(
