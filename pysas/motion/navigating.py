@@ -16,7 +16,7 @@ from pysas.motion.moving import VELOCITIES, centres, times
 from pysas.motion.phase_centres import MOST_BESIDE, MOST_PAIRS, Rows, Side
 from pysas.motion.priors import Prior
 from pysas.motion.solution import Beliefs, Equations, gauge
-from pysas.motion.surging import surges
+from pysas.motion.surging import mean_square_sine, surges
 
 FIRST_REACH, REACH = 6, 3  # lags read on either side, samples: an arrival is looked for within FIRST_REACH/2, then within 1
 _FINER = 8  # lags looked at per sample
@@ -211,12 +211,15 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     squared = np.minimum(np.abs(product) ** 2, 1.0)
     number = rows.count
     squared = np.where(number > 0, squared - (1 - squared) / np.maximum(number, 1), 0.0)
+    wavelength = rows.speed[:, None] / echoes.fc
     delay = lag[:, None, None] / echoes.fs - np.angle(product) / (2 * np.pi * echoes.fc)
-    value = -rows.speed[:, None, None] / 2 * delay
+    # points beside boresight at the same range see less of a separation along it: the mean over the beam's power
+    level = rows.looks[..., :2]
+    short = mean_square_sine(side.elements, wavelength) / 2 / np.sum(level**2, axis=2).clip(1e-3)
+    value = -rows.speed[:, None, None] / 2 * delay + short[:, None] * np.einsum("pwx,psx->psw", level, rows.apart[..., :2])
     good = squared > _LEAST**2
     noise = np.sqrt(np.clip(1 - squared, 0, None) / (2 * np.maximum(number * squared, 1e-9)) + _FLOOR**2)
-    wavelength = rows.speed[:, None, None] / echoes.fc
-    sigma = np.where(good, noise * wavelength / (4 * np.pi), 0.0)
+    sigma = np.where(good, noise * wavelength[..., None] / (4 * np.pi), 0.0)
     whole = np.sum(number, axis=2)
     strength = np.sum(squared * number, axis=2) / np.maximum(whole, 1)
     share = np.sum(np.where(base, strength, 0), axis=1) / np.maximum(np.sum(base & (whole > 0), axis=1), 1)

@@ -20,6 +20,12 @@ def coherence(separation: FloatArray, elements: tuple[float, float]) -> FloatArr
     return np.asarray(np.interp(2 * np.abs(separation), fine, both / both.max(), right=0.0))
 
 
+def mean_square_sine(elements: tuple[float, float], wavelength: FloatArray) -> FloatArray:
+    """Of the angle off boresight, over the same pattern: wavelength^2/(4 pi^2) times the bend of `coherence` at 0."""
+    short, long = sorted(elements)
+    return np.asarray((wavelength / (2 * np.pi)) ** 2 * 2 / long / (short - short**2 / (3 * long)))
+
+
 def surges(
     separation: FloatArray,
     squared: FloatArray,
