@@ -217,7 +217,7 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     level = rows.looks[..., :2]
     short = mean_square_sine(side.elements, wavelength) / 2 / np.sum(level**2, axis=2).clip(1e-3)
     value = -rows.speed[:, None, None] / 2 * delay + short[:, None] * np.einsum("pwx,psx->psw", level, rows.apart[..., :2])
-    good = squared > _LEAST**2
+    good = (squared > _LEAST**2) & base[:, None]
     noise = np.sqrt(np.clip(1 - squared, 0, None) / (2 * np.maximum(number * squared, 1e-9)) + _FLOOR**2)
     sigma = np.where(good, noise * wavelength[..., None] / (4 * np.pi), 0.0)
     whole = np.sum(number, axis=2)
