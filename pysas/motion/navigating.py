@@ -122,6 +122,7 @@ def micronavigate(
     claim = [Side(one, pivot, size, seabed, lags) for one, size in zip(sides, lengths, strict=True)]
     overlap = np.max([side.overlap() for side in claim], axis=0)
     _require_overlap(overlap, prior)
+    way = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
     track, views = np.zeros((len(pivot), 4)), claim
     for number in range(iterations):
         if number:
@@ -129,7 +130,7 @@ def micronavigate(
             place = pivot + track[:, :3]
             views = [Side(one, place, size, seabed, lags) for one, size in zip(now, lengths, strict=True)]
         measured = [_measure(view, windows, number == 0, tol, threads) for view in views]
-        step, residual, equations, normal = _solve(measured, beliefs, track)
+        step, residual, equations, normal = _solve(measured, beliefs, track, way)
         track = track + step
         if progress is not None:
             progress((number + 1) / iterations)
@@ -253,7 +254,7 @@ def _peak(height: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _solve(
-    measured: list[_Measured], beliefs: Beliefs, track: FloatArray
+    measured: list[_Measured], beliefs: Beliefs, track: FloatArray, way: FloatArray
 ) -> tuple[FloatArray, FloatArray, Equations, FloatArray]:
     """The step from a track, residuals, the equations and their pairs' normal blocks."""
     pings = len(track)
@@ -271,6 +272,7 @@ def _solve(
         equations.add(normal, right)
         equations.believe(beliefs, track)
         step = equations.solve()
+        beliefs.bridge(track + step, np.any([one.seen for one in measured], axis=0), way)
     echo = float(np.sqrt(squares[:, 0].sum() / max(squares[:, 1].sum(), 1)))
     return step, np.array([echo, beliefs.residual(track + step)]), equations, normal
 

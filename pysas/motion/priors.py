@@ -47,3 +47,4 @@ class Prior:
 # pings that no echo joins by the claimed track; a thousandth of what echoes know of a ping.
 POSITION, HEADING = 1.0, 0.1  # m, rad: of each ping
 STEP, TURN = 0.05, 0.1  # m, rad: of the change from one ping to the next
+BRIDGE_STEP, BRIDGE_TURN = 2e-3, 1e-3  # m, rad: the same, from what it is before and after, where a ping saw nothing

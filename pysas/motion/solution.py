@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import scipy.linalg
 
 from pysas._checks import FloatArray
-from pysas.motion.priors import HEADING, POSITION, STEP, TURN, Prior
+from pysas.motion.priors import BRIDGE_STEP, BRIDGE_TURN, HEADING, POSITION, STEP, TURN, Prior
 
 
 class Equations:
@@ -34,7 +35,7 @@ class Equations:
         self.diagonal[:-1, k, k] += step
         self.beside[:, k, k] -= step
         self.right -= each * track
-        pull = step * np.diff(track, axis=0)
+        pull = step * (np.diff(track, axis=0) - beliefs.expected)
         self.right[1:] -= pull
         self.right[:-1] += pull
 
@@ -78,7 +79,9 @@ class Beliefs:
 
     def __init__(self, prior: Prior, pings: int, times: FloatArray | None) -> None:
         self.each = np.array([POSITION, POSITION, prior.depth or POSITION, prior.heading or HEADING])
+        self.expected = np.zeros((pings - 1, 4))
         self.step = np.tile([STEP, STEP, np.sqrt(2) * prior.depth if prior.depth else STEP, prior.gyro or TURN], (pings - 1, 1))
+        self.guessed = np.array([prior.speed is None, prior.speed is None, prior.depth is None, prior.gyro is None])
         if prior.speed is not None:
             if times is None:
                 raise ValueError(
@@ -86,9 +89,20 @@ class Beliefs:
                 )
             self.step[:, :2] = (prior.speed * np.abs(np.diff(times)))[:, None]
 
+    def bridge(self, track: FloatArray, seen: npt.NDArray[np.bool_], way: FloatArray) -> None:
+        """Expect that a track (ping, 4) changes where nothing was seen as it does before and after, per m of the claimed way
+        from ping to ping (ping - 1,): smooth motion is the better guess where no prior tells of its changes."""
+        if seen.all() or not seen.any():
+            return
+        place = np.cumsum(way) - way / 2
+        rate = np.diff(track, axis=0) / np.maximum(way, 1e-9)[:, None]
+        for k in np.flatnonzero(self.guessed):
+            self.expected[~seen, k] = np.interp(place[~seen], place[seen], rate[seen, k]) * way[~seen]
+            self.step[~seen, k] = (BRIDGE_TURN if k == 3 else BRIDGE_STEP) * way[~seen] / np.median(way[seen])
+
     def residual(self, track: FloatArray) -> float:
         """Root mean square of the changes of a track (ping, 4) over what is believed of them."""
-        return float(np.sqrt(np.mean((np.diff(track, axis=0) / self.step) ** 2)))
+        return float(np.sqrt(np.mean(((np.diff(track, axis=0) - self.expected) / self.step) ** 2)))
 
 
 def gauge(looks: FloatArray, places: FloatArray) -> FloatArray:
