@@ -23,6 +23,7 @@ _FINER = 8  # lags looked at per sample
 _LEAST = 0.3  # coherence of a window that counts
 _CUT, _PASSES = 4.0, 3  # of Cauchy's weights, standard deviations
 _FLOOR = 5e-3  # rad: phases are never better known
+_TRIED, _DISTINCT = 16, 1.5  # pings between all of whose channels is looked; how much stronger a missed separation must be
 _SEEN = 6.0  # standard deviations above noise's coherence at which two pings have seen the same
 
 
@@ -119,17 +120,20 @@ def micronavigate(
     pivot = np.mean([centres(one) for one in sides], axis=0)
     beliefs = Beliefs(prior, len(pivot), times(sides[0]))
     lengths = [_lengths(one, elements) for one in sides]
-    claim = [Side(one, pivot, size, seabed, lags) for one, size in zip(sides, lengths, strict=True)]
+    claim = [Side(one, pivot, size, seabed) for one, size in zip(sides, lengths, strict=True)]
     overlap = np.max([side.overlap() for side in claim], axis=0)
     _require_overlap(overlap, prior)
     way = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
-    track, views = np.zeros((len(pivot), 4)), claim
+    track = np.zeros((len(pivot), 4))
+    missed = _missed(claim[0], windows, tol, threads)
+    track[1:, :2] = -missed * np.cumsum(claim[0].ahead(0, len(way))[:, :2], axis=0)
+    views = claim
     for number in range(iterations):
-        if number:
+        if number or missed:
             now = [applied(one, pivot, track[:, :3], track[:, 3], velocity) for one in sides]
             place = pivot + track[:, :3]
-            views = [Side(one, place, size, seabed, lags) for one, size in zip(now, lengths, strict=True)]
-        measured = [_measure(view, windows, number == 0, tol, threads) for view in views]
+            views = [Side(one, place, size, seabed) for one, size in zip(now, lengths, strict=True)]
+        measured = [_measure(view, windows, number == 0, lags, tol, threads) for view in views]
         step, residual, equations, normal = _solve(measured, beliefs, track, way)
         track = track + step
         if progress is not None:
@@ -179,13 +183,43 @@ def _require_overlap(overlap: FloatArray, prior: Prior) -> None:
         )
 
 
-def _measure(side: Side, size: float, first: bool, tol: float, threads: int | None) -> _Measured:
+def _missed(side: Side, size: float, tol: float, threads: int | None) -> float:
+    """Separation, m, of the phase centres that coincide, where those are not that the claimed advance brings together: of a few
+    pings, between all channels."""
+    tried = np.unique(np.linspace(0, side.echoes.n_ping - 2, _TRIED).astype(int))
+    numbers = np.arange(1 - side.echoes.n_channel, side.echoes.n_channel)
+    strength, place, times_ = np.zeros(len(numbers)), np.zeros(len(numbers)), np.zeros(len(numbers))
+    fine, filters = _lags(True, FIRST_REACH, side.echoes)
+    for ping in tried:
+        rows = side.measure(ping, ping + 1, size, FIRST_REACH, side.echoes.n_channel - 1, tol, threads)
+        for k, number in enumerate(numbers):
+            of = rows.used[0] & (rows.order == number)
+            if of.any():
+                strength[k] += np.max(np.mean(np.abs(rows.products[0, of] @ filters) ** 2, axis=(0, 1)))
+                place[k] += np.mean(rows.separation[0, of])
+                times_[k] += 1
+    strength /= np.maximum(times_, 1)
+    best = int(np.argmax(np.where(2 * times_ > len(tried), strength, 0)))
+    near = float(np.max(strength[np.abs(numbers) <= 1]))
+    if abs(numbers[best]) <= 1 or strength[best] < max(_DISTINCT * near, _LEAST**2):
+        return 0.0
+    return float(place[best] / times_[best])
+
+
+def _lags(first: bool, reach: int, echoes: Echoes) -> tuple[FloatArray, ComplexArray]:
+    """Lags that are looked at, samples, and the filters to them."""
+    most = reach / 2 if first else 1.0
+    fine = np.arange(-round(most * _FINER), round(most * _FINER) + 1) / _FINER
+    return fine, _interpolator(fine, reach, echoes.fs / echoes.fc)
+
+
+def _measure(side: Side, size: float, first: bool, lags: int, tol: float, threads: int | None) -> _Measured:
     """Rows of all pings of one side."""
     parts = []
     reach = FIRST_REACH if first else REACH
-    slots = MOST_PAIRS + 2 * side.lags * MOST_BESIDE
-    for low, high in side.batches(min(slots, (2 * side.lags + 1) * side.echoes.n_channel)):
-        parts.append(_reduced(side, side.measure(low, high, size, reach, tol, threads), reach, first))
+    slots = MOST_PAIRS + 2 * lags * MOST_BESIDE
+    for low, high in side.batches(min(slots, (2 * lags + 1) * side.echoes.n_channel)):
+        parts.append(_reduced(side, side.measure(low, high, size, reach, lags, tol, threads), reach, first))
     return _Measured(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(_Measured)))
 
 
@@ -193,10 +227,8 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     """Delays, their standard deviations and surge from correlations at several lags."""
     echoes, base = side.echoes, rows.order == 0
     cycle = echoes.fs / echoes.fc  # samples of the carrier's period
-    most = reach / 2 if first else 1.0
-    fine = np.arange(-round(most * _FINER), round(most * _FINER) + 1) / _FINER
+    fine, filters = _lags(first, reach, echoes)
     height = np.zeros((len(rows.used), fine.size))
-    filters = _interpolator(fine, reach, cycle)
     for slot in np.flatnonzero(base):
         height += np.sum(np.abs(rows.products[:, slot] @ filters) ** 2 * rows.count[:, slot, :, None], axis=1)
     envelope = _peak(height, fine)

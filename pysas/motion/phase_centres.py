@@ -53,8 +53,8 @@ class Rows:
 class Side:
     """Echoes of one side of a sonar, and its pairs of channels and lines on the seabed by the claimed track."""
 
-    def __init__(self, echoes: Echoes, pivot: FloatArray, elements: tuple[float, float], seabed: float, lags: int) -> None:
-        self.echoes, self.elements, self.seabed, self.lags = echoes, elements, seabed, lags
+    def __init__(self, echoes: Echoes, pivot: FloatArray, elements: tuple[float, float], seabed: float) -> None:
+        self.echoes, self.elements, self.seabed = echoes, elements, seabed
         self.centres = (echoes.tx[:, None] + echoes.receivers) / 2
         self.arms = (self.centres - pivot[:, None])[..., :2]
         self.axis, self.forward = axes(echoes)
@@ -73,9 +73,9 @@ class Side:
         shared = np.minimum(before.max(axis=1), after.max(axis=1)) - np.maximum(before.min(axis=1), after.min(axis=1))
         return np.asarray(shared / self.step + 1)
 
-    def pairs(self, low: int, high: int) -> tuple[IntArray, IntArray, npt.NDArray[np.bool_], IntArray, FloatArray]:
-        """Of pings low ... high - 1 and their next: channels, which of the slots are used, their separations' numbers, and
-        the separations."""
+    def pairs(self, low: int, high: int, lags: int) -> tuple[IntArray, IntArray, npt.NDArray[np.bool_], IntArray, FloatArray]:
+        """Of pings low ... high - 1 and their next: channels, which of the slots are used, their separations' numbers (-lags
+        ... lags), and the separations."""
         ahead = self.ahead(low, high)
         before = np.einsum("pcx,px->pc", self.centres[low:high], ahead)
         after = np.einsum("pcx,px->pc", self.centres[low + 1 : high + 1], ahead)
@@ -83,7 +83,7 @@ class Side:
         nearest = np.take_along_axis(gaps.reshape(len(gaps), -1), np.abs(gaps).reshape(len(gaps), -1).argmin(1)[:, None], 1)
         every = np.arange(high - low)[:, None]
         firsts, seconds, uses, orders = [], [], [], []
-        for number in range(-self.lags, self.lags + 1):
+        for number in range(-lags, lags + 1):
             aim = nearest + number * self.step
             other = np.abs(gaps - aim[:, :, None]).argmin(axis=2)
             miss = np.abs(np.take_along_axis(gaps, other[:, :, None], 2)[:, :, 0] - aim)
@@ -101,16 +101,28 @@ class Side:
         return first, second, used, np.array(orders), gaps[every, first, second]
 
     def windows(self, size: float) -> tuple[int, int, int]:
-        """First sample, length and number of windows of `size` m of slant range."""
+        """First sample, length and number of windows of `size` m of slant range.
+
+        Raises
+        ------
+        ValueError
+            None within the record; fewer than 8 samples.
+        """
         echoes = self.echoes
         step = float(np.mean(echoes.speeds)) / (2 * echoes.fs)
-        length = max(int(round(size / step)), 8)
+        length = int(round(size / step))
         height = np.abs(self.seabed - self.centres[..., 2].mean(axis=1))
         steep = np.abs(_plane(self.axis, echoes)[1][:, 2])
         reached = height / (steep * _GRAZING)
         begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), 0)
         count = (echoes.n_sample - begin) // length
-        return begin, length, max(count, 0)
+        if length < 8 or count < 1:
+            seen = max(echoes.n_sample - begin, 0) * step
+            raise ValueError(
+                f"windows={size:g}: expected at least 8 samples ({8 * step:.3g} m), and at most the {seen:.3g} m of slant range "
+                f"that the record has of a seabed at z = {self.seabed:g} m"
+            )
+        return begin, length, count
 
     def batches(self, slots: int) -> Iterator[tuple[int, int]]:
         """Pings low ... high - 1 whose lines fit into memory."""
@@ -118,10 +130,10 @@ class Side:
         for low in range(0, self.echoes.n_ping - 1, each):
             yield low, min(low + each, self.echoes.n_ping - 1)
 
-    def measure(self, low: int, high: int, size: float, reach: int, tol: float, threads: int | None) -> Rows:
+    def measure(self, low: int, high: int, size: float, reach: int, lags: int, tol: float, threads: int | None) -> Rows:
         """Correlations of pings low ... high - 1 with their next, at lags of -reach ... reach samples."""
         echoes = self.echoes
-        first, second, used, order, separation = self.pairs(low, high)
+        first, second, used, order, separation = self.pairs(low, high, lags)
         begin, length, count = self.windows(size)
         pair, slot = np.nonzero(used)
         which = np.stack([low + pair, low + pair + 1])
