@@ -15,7 +15,7 @@ from pysas.motion.found import Motion, applied
 from pysas.motion.moving import VELOCITIES, centres, times
 from pysas.motion.phase_centres import MOST_BESIDE, MOST_PAIRS, Rows, Side
 from pysas.motion.priors import Prior
-from pysas.motion.solution import Beliefs, Equations, gauge
+from pysas.motion.solution import Beliefs, Equations, gauge, without_gauge
 from pysas.motion.surging import mean_square_sine, surges
 
 FIRST_REACH, REACH = 6, 3  # lags read on either side, samples: an arrival is looked for within FIRST_REACH/2, then within 1
@@ -24,6 +24,8 @@ _LEAST = 0.3  # coherence of a window that counts
 _CUT, _PASSES = 4.0, 3  # of Cauchy's weights, standard deviations
 _FLOOR = 5e-3  # rad: phases are never better known
 _TRIED, _DISTINCT = 16, 1.5  # pings between all of whose channels is looked; how much stronger a missed separation must be
+_STILL = 0.1  # of the claimed way
+_WRONG = 3.0  # standard deviations that are left of the echoes (4 at most): what was solved for is not what they saw
 _SEEN = 6.0  # standard deviations above noise's coherence at which two pings have seen the same
 
 
@@ -324,9 +326,21 @@ def _motion(
     slips = np.any([one.slip for one in measured], axis=0)
     coherence = np.max([one.coherence for one in measured], axis=0)
     found, why = bool(np.mean(seen) > 0.5), ""
+    way = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
+    still = np.linalg.norm(np.diff(pivot + track[:, :3], axis=0), axis=1) < _STILL * way
     forward = claim[0].forward
     across = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    if found:
+    if found and np.mean(still) > 0.5:
+        found = False
+        ping = int(np.argmax(still))
+        why = (
+            f"{np.sum(still)} of {len(still)} pairs of pings saw the same from the same place, the first of them pings {ping} and "
+            f"{ping + 1}: the sonar stood still, or the same ping was recorded again, and the claimed track moves on"
+        )
+    elif found and residual[0] > _WRONG:
+        found = False
+        why = f"the echoes contradict each other by {residual[0]:.2g} standard deviations: another seabed than z = {claim[0].seabed:g} m?"
+    elif found:
         why = f"{np.sum(seen)} of {len(seen)} pairs of pings correlate"
     else:
         ping = int(np.argmin(seen))
@@ -334,6 +348,7 @@ def _motion(
             f"{np.sum(~seen)} of {len(seen)} pairs of pings do not correlate, the first of them pings {ping} and {ping + 1} "
             f"(coherence {coherence[ping]:.2f}): noise, no seabed, or a claimed track whose advance is wrong"
         )
+    if not found:
         track = np.zeros_like(track)
     turn = np.zeros((len(track) - 1, 4, 4))
     turn[:, 0, :2], turn[:, 1, :2], turn[:, 2, 2], turn[:, 3, 3] = forward[1:, :2], across[1:], 1, 1
@@ -342,16 +357,28 @@ def _motion(
     sigma = np.sqrt(np.concatenate([variance[:1], variance]))
     looks = measured[0].looks[:, measured[0].looks.shape[1] // 2]
     looks = np.concatenate([looks, looks[-1:]])
-    basis = gauge(looks, pivot)
-    middle, k = len(track) // 2, np.arange(4)
-    equations.diagonal[middle, k, k] += 1 / np.array([1e-4, 1e-4, 1e-4, 1e-5]) ** 2
-    track_sigma = np.sqrt(np.clip(equations.slant_variance(looks, basis), 0, None))
+    sure = equations.part(0, len(track)).slant_variance(looks, gauge(looks, pivot))
     slant = np.sum(looks * track[:, :3], axis=1)
-    slant = slant - basis @ (basis.T @ slant)
-    turns = 4 * np.pi * claim[0].echoes.fc / claim[0].echoes.mean_speed
-    loss = 4.34 * np.array([np.mean((turns * slant) ** 2) + np.mean((turns * track_sigma) ** 2), np.mean((turns * track_sigma) ** 2)])
+    loss = _losses(claim[0], looks, pivot, slant, equations)
     surge, sway = (np.sum(track[:, :2] * d[:, :2], axis=1) for d in (forward, across))
     return Motion(
-        track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, track_sigma, coherence, overlap, residual,
+        track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, np.sqrt(np.clip(sure, 0, None)), coherence, overlap, residual,
         np.flatnonzero(slips).tolist(), np.flatnonzero(~seen).tolist(), found, why, pivot, loss,
     )  # fmt: skip
+
+
+def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray, equations: Equations) -> FloatArray:
+    """dB of an image's peaks that the claimed track and the found one cost, over one aperture: 4.34 (4 pi fc/c sigma)^2."""
+    echoes, beam = side.echoes, side.echoes.beam
+    if beam is None:
+        raise _checks.InternalError("beam: none")
+    way = float(np.median(np.linalg.norm(np.diff(pivot, axis=0), axis=1)))
+    aperture = echoes.mean_speed / echoes.fc * sum(echoes.swath) / 2 / beam.length
+    pings = min(max(int(np.ceil(aperture / max(way, 1e-9))), 3), len(slant))
+    starts = np.unique(np.linspace(0, len(slant) - pings, 32).astype(int))
+    before = np.mean([np.mean(without_gauge(looks[s : s + pings], pivot[s : s + pings], slant[s : s + pings]) ** 2) for s in starts])
+    middle = int(starts[len(starts) // 2])
+    some = slice(middle, middle + pings)
+    after = np.mean(equations.part(middle, middle + pings).slant_variance(looks[some], gauge(looks[some], pivot[some])))
+    turns = 4 * np.pi * echoes.fc / echoes.mean_speed
+    return 4.34 * turns**2 * np.clip([before + after, after], 0, None)

@@ -9,6 +9,9 @@ import scipy.linalg
 from pysas._checks import FloatArray
 from pysas.motion.priors import BRIDGE_STEP, BRIDGE_TURN, HEADING, POSITION, STEP, TURN, Prior
 
+LEVEL = 0.05  # rad: lines of sight that turn by less see no shift along the track
+HELD = np.array([1e-4, 1e-4, 1e-4, 1e-5])  # m, rad: how firmly a ping is held where variances of the others are asked for
+
 
 class Equations:
     """Normal equations of x, y, z and turn of each ping: blocks on the diagonal, and of a ping (row) and the one before it."""
@@ -38,6 +41,14 @@ class Equations:
         pull = step * (np.diff(track, axis=0) - beliefs.expected)
         self.right[1:] -= pull
         self.right[:-1] += pull
+
+    def part(self, first: int, last: int) -> Equations:
+        """Those of pings first ... last - 1, the middle one of which is held: what else lies there is gauge."""
+        some = Equations(last - first)
+        some.diagonal[:], some.beside[:] = self.diagonal[first:last], self.beside[first : last - 1]
+        k = np.arange(4)
+        some.diagonal[(last - first) // 2, k, k] += 1 / HELD**2
+        return some
 
     def banded(self) -> FloatArray:
         """(8, 4 ping) lower bands, as scipy.linalg.solveh_banded has them."""
@@ -105,9 +116,15 @@ class Beliefs:
         return float(np.sqrt(np.mean(((np.diff(track, axis=0) - self.expected) / self.step) ** 2)))
 
 
+def without_gauge(looks: FloatArray, places: FloatArray, slant: FloatArray) -> FloatArray:
+    """What is left of displacements along the lines of sight (ping,)."""
+    basis = gauge(looks, places)
+    return np.asarray(slant - basis @ (basis.T @ slant))
+
+
 def gauge(looks: FloatArray, places: FloatArray) -> FloatArray:
     """Orthonormal (ping, n): what a shift, and a turn about z, of the whole track change along lines of sight (ping, 3)."""
     places = places - places.mean(axis=0)
     turn = looks[:, 1] * places[:, 0] - looks[:, 0] * places[:, 1]
     basis, sizes, _ = np.linalg.svd(np.column_stack([looks, turn / max(float(np.abs(places).max()), 1e-9)]), full_matrices=False)
-    return np.asarray(basis[:, sizes > 1e-6 * sizes[0]])
+    return np.asarray(basis[:, sizes > LEVEL * sizes[0]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,13 +13,19 @@ _WIDEST, _GRID = 1.5, 121  # of shifts that are tried, in steps of the phase cen
 LEAST_SIGMA = 0.1e-3  # m: surge is never better known
 
 
-def coherence(separation: FloatArray, elements: tuple[float, float]) -> FloatArray:
-    """Coherence of the seabed's echoes at two phase centres so far apart along the track, m: the Fourier transform of the
-    two-way power pattern [sinc(Dt v) sinc(Dr v)]^2 at twice the separation, hence both elements' triangles convolved."""
+@lru_cache(maxsize=8)
+def _pattern(elements: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Lags, and the convolution of both elements' triangles at them, 1 at 0."""
     fine = np.arange(4097) * (sum(elements) / 2048) - sum(elements)
     send, hear = (np.clip(1 - np.abs(fine) / size, 0, None) for size in elements)
     both = np.convolve(send, hear, "same")
-    return np.asarray(np.interp(2 * np.abs(separation), fine, both / both.max(), right=0.0))
+    return fine, both / both.max()
+
+
+def coherence(separation: FloatArray, elements: tuple[float, float]) -> FloatArray:
+    """Coherence of the seabed's echoes at two phase centres so far apart along the track, m: the Fourier transform of the
+    two-way power pattern [sinc(Dt v) sinc(Dr v)]^2 at twice the separation, hence both elements' triangles convolved."""
+    return np.asarray(np.interp(2 * np.abs(separation), *_pattern(elements), right=0.0))
 
 
 def mean_square_sine(elements: tuple[float, float], wavelength: FloatArray) -> FloatArray:
