@@ -24,8 +24,10 @@ _LEAST = 0.3  # coherence of a window that counts
 _CUT, _PASSES = 4.0, 3  # of Cauchy's weights, standard deviations
 _FLOOR = 5e-3  # rad: phases are never better known
 _TRIED, _DISTINCT = 16, 1.5  # pings between all of whose channels is looked; how much stronger a missed separation must be
+_BESIDE = 0.2  # steps of the phase centres by which separations that count may lie farther from 0 than the nearest
 _STILL = 0.1  # of the claimed way
-_WRONG = 3.0  # standard deviations that are left of the echoes (4 at most): what was solved for is not what they saw
+_WRONG, _UNLIKE = 2.0, 3.0  # standard deviations that are left of echoes (4 at most), and of a prior: neither tells the truth
+_WILD = np.array([0.5, 0.5, 0.5, 0.3])  # m, rad: changes from ping to ping that no sonar makes unclaimed
 _SEEN = 6.0  # standard deviations above noise's coherence at which two pings have seen the same
 
 
@@ -129,7 +131,7 @@ def micronavigate(
     track = np.zeros((len(pivot), 4))
     missed = _missed(claim[0], windows, tol, threads)
     track[1:, :2] = -missed * np.cumsum(claim[0].ahead(0, len(way))[:, :2], axis=0)
-    views = claim
+    start, views = track, claim
     for number in range(iterations):
         if number or missed:
             now = [applied(one, pivot, track[:, :3], track[:, 3], velocity) for one in sides]
@@ -138,9 +140,12 @@ def micronavigate(
         measured = [_measure(view, windows, number == 0, lags, tol, threads) for view in views]
         step, residual, equations, normal = _solve(measured, beliefs, track, way)
         track = track + step
+        wild = bool(np.any(np.abs(np.diff(track - start, axis=0)) > _WILD))
+        if wild:
+            break
         if progress is not None:
             progress((number + 1) / iterations)
-    return _motion(track, claim, measured, overlap, residual, equations, normal, beliefs, pivot)
+    return _motion(track, wild, claim, measured, overlap, residual, equations, normal, beliefs, pivot)
 
 
 def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
@@ -252,7 +257,10 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> _Measured:
     level = rows.looks[..., :2]
     short = mean_square_sine(side.elements, wavelength) / 2 / np.sum(level**2, axis=2).clip(1e-3)
     value = -rows.speed[:, None, None] / 2 * delay + short[:, None] * np.einsum("pwx,psx->psw", level, rows.apart[..., :2])
-    good = (squared > _LEAST**2) & base[:, None]
+    # separations farther from 0 than the nearest are false where a bright point draws the beam's middle off boresight
+    off = np.where(rows.used, np.abs(rows.separation), np.inf)
+    near = off <= off.min(axis=1, keepdims=True) + _BESIDE * side.step
+    good = (squared > _LEAST**2) & near[..., None]
     noise = np.sqrt(np.clip(1 - squared, 0, None) / (2 * np.maximum(number * squared, 1e-9)) + _FLOOR**2)
     sigma = np.where(good, noise * wavelength[..., None] / (4 * np.pi), 0.0)
     whole = np.sum(number, axis=2)
@@ -319,8 +327,8 @@ def _surge_rows(one: _Measured) -> tuple[FloatArray, ...]:
 
 
 def _motion(
-    track: FloatArray, claim: list[Side], measured: list[_Measured], overlap: FloatArray, residual: FloatArray,
-    equations: Equations, normal: FloatArray, beliefs: Beliefs, pivot: FloatArray,
+    track: FloatArray, wild: bool, claim: list[Side], measured: list[_Measured], overlap: FloatArray, residual: FloatArray, equations: Equations,
+    normal: FloatArray, beliefs: Beliefs, pivot: FloatArray,
 ) -> Motion:  # fmt: skip
     seen = np.any([one.seen for one in measured], axis=0)
     slips = np.any([one.slip for one in measured], axis=0)
@@ -337,9 +345,12 @@ def _motion(
             f"{np.sum(still)} of {len(still)} pairs of pings saw the same from the same place, the first of them pings {ping} and "
             f"{ping + 1}: the sonar stood still, or the same ping was recorded again, and the claimed track moves on"
         )
-    elif found and residual[0] > _WRONG:
+    elif found and (residual[0] > _WRONG or residual[1] > _UNLIKE or wild):
         found = False
-        why = f"the echoes contradict each other by {residual[0]:.2g} standard deviations: another seabed than z = {claim[0].seabed:g} m?"
+        why = (
+            f"echoes contradict each other by {residual[0]:.2g} and the prior by {residual[1]:.2g} standard deviations: too few "
+            f"echoes of a seabed at z = {claim[0].seabed:g} m, bright points alone, or a prior that is too sure"
+        )
     elif found:
         why = f"{np.sum(seen)} of {len(seen)} pairs of pings correlate"
     else:
@@ -373,7 +384,7 @@ def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray,
     if beam is None:
         raise _checks.InternalError("beam: none")
     way = float(np.median(np.linalg.norm(np.diff(pivot, axis=0), axis=1)))
-    aperture = echoes.mean_speed / echoes.fc * sum(echoes.swath) / 2 / beam.length
+    aperture = echoes.mean_speed / echoes.fc * sum(echoes.swath) / beam.length  # from null to null, at the swath's middle
     pings = min(max(int(np.ceil(aperture / max(way, 1e-9))), 3), len(slant))
     starts = np.unique(np.linspace(0, len(slant) - pings, 32).astype(int))
     before = np.mean([np.mean(without_gauge(looks[s : s + pings], pivot[s : s + pings], slant[s : s + pings]) ** 2) for s in starts])
