@@ -34,8 +34,8 @@ __version__ = "0.1.0"
 __all__ = [
     "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
     "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect",
-    "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion", "navigation", "plan", "plot", "read_table", "reference", "save",
-    "show_config", "simulate", "simulation", "tracks",
+    "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion", "navigation", "plan", "plot", "read_table",
+    "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules

@@ -108,14 +108,15 @@ class Motion:
             head,
             f"  corrected  {self._largest()}",
             f"  sure to    {1e6 * surge:.3g}, {1e6 * sway:.3g}, {1e6 * heave:.3g} um of surge, sway and heave and "
-            f"{1e6 * yaw:.3g} urad of yaw from ping to ping; {1e3 * float(np.max(self.track_sigma)):.3g} mm of slant range over "
-            "the track, a shift and a turn of the whole removed",
-            f"  coherence  {np.min(self.coherence):.2f} to {np.max(self.coherence):.2f}, median {np.median(self.coherence):.2f}; "
-            f"{np.min(self.overlap):.3g} to {np.max(self.overlap):.3g} phase centres overlap",
+            f"{1e6 * yaw:.3g} urad of yaw from ping to ping; {1e3 * float(np.max(self.track_sigma)):.3g} mm of slant range "
+            "over the track, a shift and a turn of the whole removed",
+            f"  coherence  {np.min(self.coherence):.2f} to {np.max(self.coherence):.2f}, median "
+            f"{np.median(self.coherence):.2f}; {np.min(self.overlap):.3g} to {np.max(self.overlap):.3g} phase centres overlap",
             f"  residuals  {self.residual[0]:.3g} of the echoes, {self.residual[1]:.3g} of the prior, in standard deviations",
             "  not seen   where the whole track lies and its mean heading, which move the image and leave it sharp; pitch and "
             "roll",
-            f"  image      peaks may lose {_decibels(self.loss[0])} with the claimed track, {_decibels(self.loss[1])} with this",
+            f"  image      peaks may lose {_decibels(self.loss[0])} with the claimed track, {_decibels(self.loss[1])} with "
+            "this one",
         ]
         if self.unseen:
             lines.append(f"  unseen     {_listed(self.unseen)}: nothing correlates from there to the next ping: as claimed")

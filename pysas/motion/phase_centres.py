@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +36,8 @@ class Rows:
 
     first, second : (pair, slot) channels; used : (pair, slot); order : (slot,) separations' number, 0 the nearest.
     separation : (pair, slot) along the claimed forward direction, m; apart (pair, slot, 3); arms (pair, slot, 2, 2).
-    products : (pair, slot, window, lag); count (pair, slot, window) independent samples; looks (pair, window, 3); ahead (pair, 3).
+    products : (pair, slot, window, lag); count (pair, slot, window) independent samples; looks (pair, window, 3); ahead
+        (pair, 3).
     """
 
     used: npt.NDArray[np.bool_]
@@ -119,8 +121,8 @@ class Side:
         if length < 8 or count < 1:
             seen = max(echoes.n_sample - begin, 0) * step
             raise ValueError(
-                f"windows={size:g}: expected at least 8 samples ({8 * step:.3g} m), and at most the {seen:.3g} m of slant range "
-                f"that the record has of a seabed at z = {self.seabed:g} m"
+                f"windows={size:g}: expected at least 8 samples ({8 * step:.3g} m), and at most the {seen:.3g} m of slant "
+                f"range that the record has of a seabed at z = {self.seabed:g} m"
             )
         return begin, length, count
 
@@ -169,11 +171,9 @@ class Side:
         speed = (echoes.speeds[low:high] + echoes.speeds[low + 1 : high + 1]) / 2
         return Rows(used, order, separation, apart, arms, full, number, sight, self.ahead(low, high), speed)
 
-    def _lines(
-        self, which: IntArray, channel: IntArray, begin: int, length: int, count: int
-    ) -> tuple[FloatArray, FloatArray]:
-        """Of pairs of traces ends (row, end, 3) of straight pieces of lines on the seabed, each of _PIECE samples of slant range
-        to within its curvature, and lines of sight (row, window, 3) to windows' middles."""
+    def _lines(self, which: IntArray, channel: IntArray, begin: int, length: int, count: int) -> tuple[FloatArray, FloatArray]:
+        """Of pairs of traces ends (row, end, 3) of straight pieces of lines on the seabed, each of _PIECE samples of slant
+        range to within its curvature, and lines of sight (row, window, 3) to windows' middles."""
         echoes = self.echoes
         send, hear = (size**2 / (self.elements[0] ** 2 + self.elements[1] ** 2) for size in self.elements)
         start = (send * echoes.tx[which] + hear * echoes.receivers[which, channel]).mean(axis=0)
@@ -184,12 +184,12 @@ class Side:
         across, up = (direction[which].mean(axis=0) for direction in _plane(self.axis, echoes))
         across, up = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (across, up))
 
-        def sight(sample: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def sight(sample: npt.NDArray[Any]) -> tuple[FloatArray, FloatArray]:
             r = np.maximum(near[:, None] + sample / echoes.fs, 1 / echoes.fs) * speed[:, None] / 2
             sine = np.clip((self.seabed - start[:, 2:] - rate[:, 2:] * r) / (r * up[:, 2:]), -1, 1)
             return r[..., None], np.sqrt(1 - sine**2)[..., None] * across[:, None] + sine[..., None] * up[:, None]
 
-        r, looks = sight(begin + _PIECE * np.arange(-(-count * length // _PIECE) + 1.0))
+        r, looks = sight(np.asarray(begin + _PIECE * np.arange(-(-count * length // _PIECE) + 1.0)))
         middles = begin + (np.arange(count) + 0.5) * length
         return start[:, None] + r * (rate[:, None] + looks), sight(middles)[1]
 
@@ -204,7 +204,7 @@ def axes(echoes: Echoes) -> tuple[FloatArray, FloatArray]:
     """
     beam = echoes.beam
     if beam is None:
-        raise ValueError("echoes: beam=None: expected a pysas.Beam: its boresight says where the seabed is seen, length how widely")
+        raise ValueError("echoes: beam=None: expected a pysas.Beam, which says where the seabed is seen, and how widely")
     if beam.shape == FAN:
         axis = np.broadcast_to(beam.axes, (echoes.n_ping, 3))
     else:
@@ -213,7 +213,8 @@ def axes(echoes: Echoes) -> tuple[FloatArray, FloatArray]:
     size = np.linalg.norm(level, axis=1, keepdims=True)
     if not np.all(size > 1e-3):
         ping = int(np.argmin(size))
-        raise ValueError(f"echoes: beam: boresight {beam.boresights[ping % len(beam.boresights)]} at ping {ping}: expected one off the vertical")
+        look = beam.boresights[ping % len(beam.boresights)]
+        raise ValueError(f"echoes: beam: boresight {look} at ping {ping}: expected one off the vertical")
     way = np.gradient((echoes.tx + echoes.receivers.mean(axis=1)) / 2, axis=0)
     sign = -1.0 if np.sum(level * way) < 0 else 1.0
     return np.asarray(sign * axis / np.linalg.norm(axis, axis=1, keepdims=True)), np.asarray(sign * level / size)

@@ -96,20 +96,21 @@ class Beliefs:
         if prior.speed is not None:
             if times is None:
                 raise ValueError(
-                    f"prior: speed={prior.speed!r}: expected echoes whose pings have times: ping_time, or a velocity to tell them by"
+                    f"prior: speed={prior.speed!r}: expected echoes whose pings have times: ping_time, or a velocity that tells"
                 )
             self.step[:, :2] = (prior.speed * np.abs(np.diff(times)))[:, None]
 
     def bridge(self, track: FloatArray, seen: npt.NDArray[np.bool_], way: FloatArray) -> None:
-        """Expect that a track (ping, 4) changes where nothing was seen as it does before and after, per m of the claimed way
-        from ping to ping (ping - 1,): smooth motion is the better guess where no prior tells of its changes."""
-        if seen.all() or not seen.any():
-            return
+        """Expect that what no echo tells, and no prior, of a track's changes (ping - 1, 4) is as before and after, per m of the
+        claimed way from ping to ping (ping - 1,): smooth motion is the better guess."""
         place = np.cumsum(way) - way / 2
         rate = np.diff(track, axis=0) / np.maximum(way, 1e-9)[:, None]
         for k in np.flatnonzero(self.guessed):
-            self.expected[~seen, k] = np.interp(place[~seen], place[seen], rate[seen, k]) * way[~seen]
-            self.step[~seen, k] = (BRIDGE_TURN if k == 3 else BRIDGE_STEP) * way[~seen] / np.median(way[seen])
+            told, rest = seen[:, k], ~seen[:, k]
+            if told.any():
+                self.expected[rest, k] = np.interp(place[rest], place[told], rate[told, k]) * way[rest]
+                sure = BRIDGE_TURN if k == 3 else BRIDGE_STEP
+                self.step[rest, k] = sure * way[rest] / max(float(np.median(way[told])), 1e-9)
 
     def residual(self, track: FloatArray) -> float:
         """Root mean square of the changes of a track (ping, 4) over what is believed of them."""
@@ -126,5 +127,6 @@ def gauge(looks: FloatArray, places: FloatArray) -> FloatArray:
     """Orthonormal (ping, n): what a shift, and a turn about z, of the whole track change along lines of sight (ping, 3)."""
     places = places - places.mean(axis=0)
     turn = looks[:, 1] * places[:, 0] - looks[:, 0] * places[:, 1]
-    basis, sizes, _ = np.linalg.svd(np.column_stack([looks, turn / max(float(np.abs(places).max()), 1e-9)]), full_matrices=False)
+    columns = np.column_stack([looks, turn / max(float(np.abs(places).max()), 1e-9)])
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(basis[:, sizes > LEVEL * sizes[0]])

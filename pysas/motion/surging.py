@@ -19,7 +19,7 @@ def _pattern(elements: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     fine = np.arange(4097) * (sum(elements) / 2048) - sum(elements)
     send, hear = (np.clip(1 - np.abs(fine) / size, 0, None) for size in elements)
     both = np.convolve(send, hear, "same")
-    return fine, both / both.max()
+    return np.asarray(fine, dtype=np.float64), np.asarray(both / both.max())
 
 
 def coherence(separation: FloatArray, elements: tuple[float, float]) -> FloatArray:

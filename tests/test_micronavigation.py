@@ -1,0 +1,360 @@
+"""Micronavigation against the true tracks of simulated seabeds; its parts against mathematics and plain NumPy.
+
+Scenes are those of `motion_scenes`, sampled at 40 kHz: at 30 kHz what lies beyond the pulse's band folds into it, and lowers
+the coherence of displaced pings from 0.998 to 0.99.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import motion_scenes
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+
+import pysas
+from pysas.motion import correlating
+from pysas.motion.moving import centres
+from pysas.motion.phase_centres import Side
+from pysas.motion.priors import Prior
+from pysas.motion.solution import HELD, Beliefs, Equations, gauge
+from pysas.motion.surging import coherence, mean_square_sine, surges
+
+ELEMENTS = (motion_scenes.TX, motion_scenes.RX)
+
+
+def scene(**more):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion_scenes, "FS", 40e3)
+        return motion_scenes.scene(**more)
+
+
+@functools.cache
+def small(seed=1, pings=20, overlap=4, side=1):
+    """A few metres of track over a narrow swath: a second to simulate."""
+    return scene(pings=pings, overlap=overlap, swath=(20.0, 32.0), targets=((-0.4, 24.0),), side=side, seed=seed)
+
+
+def navigate(echoes, seabed=8.0, **more):
+    return pysas.micronavigate(echoes, seabed, elements=ELEMENTS, **more)
+
+
+def slant(found, true, distance=26.0):
+    """RMS error in mm of slant range; a shift and a turn of the whole are gauge."""
+    return 1e3 * pysas.metrics.track_error(found, true, distance)
+
+
+def turned(echoes, angle, shift=(0.0, 0.0, 0.0), over=False):
+    """The same survey in other coordinates: turned about z, shifted, and turned over so that z points up."""
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    if over:
+        matrix = np.diag([1.0, -1.0, -1.0]) @ matrix
+
+    def go(v):
+        return v @ matrix.T
+
+    beam = dataclasses.replace(echoes.beam, boresight=go(echoes.beam.boresight), axis=go(echoes.beam.axis))
+    return echoes.replace(tx=go(echoes.tx) + shift, rx=go(echoes.rx) + shift, velocity=go(echoes.velocity), beam=beam)
+
+
+# Parts
+
+
+def test_coherence_is_the_transform_of_the_two_way_pattern():
+    """The Fourier integral of [sinc(Dt v) sinc(Dr v)]^2 at twice the separation, by quadrature; and the mean square of v."""
+
+    def power(v):
+        return (np.sinc(0.10 * v) * np.sinc(0.05 * v)) ** 2
+
+    whole = quad(power, 0, 200, limit=500)[0]
+    for separation in (0.0, 0.0125, 0.025, 0.05, 0.07):
+        integral = quad(lambda v, s=separation: power(v) * np.cos(4 * np.pi * s * v), 0, 200, limit=2000)[0]
+        assert_allclose(coherence(np.array(separation), ELEMENTS), integral / whole, atol=2e-5)
+    square = quad(lambda v: v**2 * power(v), 0, 2000, limit=5000)[0] / whole
+    assert_allclose(mean_square_sine(ELEMENTS, np.array(0.015)), 0.015**2 * square, rtol=2e-3)
+
+
+def test_surge_is_where_coherence_is_largest():
+    """Exact coherences of known shifts, scaled by any amplitude; what lies flat, or far away, says nothing."""
+    separation = np.tile([-0.025, -0.025, 0.0, 0.0, 0.025, 0.025], (4, 1))
+    shift = np.array([0.0, 3e-3, -8e-3, 1e-3])
+    squared = (np.array([1.0, 0.9, 0.5, 0.7])[:, None] * coherence(separation + shift[:, None], ELEMENTS)) ** 2
+    used = np.ones(separation.shape, dtype=bool)
+    found, sigma = surges(separation, squared, used, ELEMENTS, 0.025)
+    assert_allclose(found, shift, atol=0.1e-3)
+    assert np.all(sigma > 0)
+    flat = surges(separation, np.ones_like(squared), used, ELEMENTS, 0.025)[1]
+    assert np.all((flat == 0) | (flat > 2e-3))
+    used[1, 2:] = False
+    assert surges(separation, squared, used, ELEMENTS, 0.025)[1][1] == 0.0
+
+
+def test_windows_correlate_as_numpy_does():
+    """Amplitudes are clipped at 2 rms as the median says; a window of which less than half was recorded is left out."""
+    rng = np.random.default_rng(0)
+    a, b = (rng.standard_normal((2, 3, 200)) + 1j * rng.standard_normal((2, 3, 200))).astype(np.complex64)
+    a[0, 30] = 100.0
+    a[2, :60] = 0
+    products, powers, counts = np.empty((3, 2, 5), dtype=complex), np.empty((3, 2)), np.empty((3, 2))
+    correlating.windows(a, b, 100, products, powers, counts)
+
+    def clipped(trace, window):
+        part = trace[window]
+        most = 2 * np.sqrt(np.median(np.abs(part[part != 0]) ** 2) / np.log(2))
+        return trace * np.minimum(1, most / np.maximum(np.abs(trace), 1e-30))
+
+    for row in range(3):
+        for window in range(2):
+            part = slice(100 * window, 100 * window + 100)
+            if row == 2 and window == 0:
+                assert powers[row, window] == counts[row, window] == 0 and not products[row, window].any()
+                continue
+            one, two = clipped(a[row], part)[part], clipped(b[row], part)
+            assert_allclose(powers[row, window], np.linalg.norm(one) * np.linalg.norm(two[part]), rtol=1e-5)
+            padded = np.pad(two, 2)
+            for lag in range(-2, 3):
+                expected = np.vdot(one, padded[part.start + 2 + lag : part.stop + 2 + lag])
+                assert_allclose(products[row, window, lag + 2], expected, atol=1e-3)
+            assert counts[row, window] == 100
+
+
+def dense(equations):
+    n = len(equations.diagonal)
+    matrix = np.zeros((4 * n, 4 * n))
+    for p in range(n):
+        matrix[4 * p : 4 * p + 4, 4 * p : 4 * p + 4] = equations.diagonal[p]
+        if p:
+            matrix[4 * p : 4 * p + 4, 4 * p - 4 : 4 * p] = equations.beside[p - 1]
+            matrix[4 * p - 4 : 4 * p, 4 * p : 4 * p + 4] = equations.beside[p - 1].T
+    return matrix
+
+
+def random_equations(n=9):
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((n - 1, 20, 8))
+    equations = Equations(n)
+    equations.add(np.einsum("prk,prl->pkl", rows, rows), rng.standard_normal((n - 1, 8)))
+    equations.believe(Beliefs(Prior(), n, None), rng.standard_normal((n, 4)))
+    return equations
+
+
+def test_the_banded_solution_is_the_dense_one():
+    equations = random_equations()
+    assert_allclose(equations.solve().ravel(), np.linalg.solve(dense(equations), equations.right.ravel()), rtol=1e-9)
+
+
+def test_variances_are_those_of_the_dense_inverse():
+    """Of a part of the track whose middle ping is held, with a shift and a trend projected out of both sides."""
+    equations, rng = random_equations(), np.random.default_rng(2)
+    looks = rng.standard_normal((6, 3))
+    basis = np.linalg.qr(rng.standard_normal((6, 2)))[0]
+    part = equations.part(2, 8)
+    matrix = dense(equations)[8:32, 8:32]
+    matrix[12:16, 12:16] += np.diag(1 / HELD**2)
+    along = np.zeros((6, 24))
+    for p in range(6):
+        along[p, 4 * p : 4 * p + 3] = looks[p]
+    covariance = along @ np.linalg.inv(matrix) @ along.T
+    project = np.eye(6) - basis @ basis.T
+    assert_allclose(part.slant_variance(looks, basis), np.diag(project @ covariance @ project), rtol=1e-7)
+
+
+def test_gauge_is_a_shift_and_a_turn_of_the_whole():
+    x = np.linspace(-5, 5, 30)
+    places = np.stack([x, 0 * x, 0 * x], axis=1)
+    looks = np.tile([0.0, 0.96, 0.28], (30, 1))
+    basis = gauge(looks, places)
+    assert basis.shape == (30, 2)
+    line = 0.3 + 0.02 * x
+    assert_allclose(basis @ (basis.T @ line), line, atol=1e-12)
+    angle = np.linspace(0, 2 * np.pi, 30, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    assert gauge(-circle, 20 * circle).shape == (30, 2)  # shifts of the centre; a turn changes no distance to it
+
+
+def test_a_prior_is_finite_and_positive():
+    with pytest.raises(ValueError, match="gyro=0: expected a finite number > 0"):
+        Prior(gyro=0)
+    with pytest.raises(TypeError, match="depth='deep'"):
+        Prior(depth="deep")
+
+
+# The whole
+
+
+def test_phase_noise_reaches_the_bound():
+    """At the true track, windows of 1.25 m: sqrt((1 - g^2)/(2 N g^2)), N = 2 B L/c; at most 1.2 times that."""
+    echoes, _, _ = scene(pings=12, targets=(), seed=5)
+    rows = Side(echoes, centres(echoes), ELEMENTS, 8.0).measure(0, 11, 1.25, 3, 1, 1e-3, 1)
+    nearest = rows.products[:, rows.order == 0][rows.used[:, rows.order == 0]][..., 3]
+    square, number = np.mean(np.abs(nearest) ** 2), 2 * 20e3 * 1.25 / 1500
+    assert np.all(np.abs(rows.count[rows.count > 0] - number) < 1)
+    bound = np.sqrt((1 - square) / (2 * number * square))
+    assert square > 0.98
+    assert np.sqrt(np.mean(np.angle(nearest) ** 2)) < 1.2 * bound
+
+
+def test_a_track_is_found():
+    true, claim, truth = small()
+    motion = navigate(claim)
+    fixed = motion.apply(claim)
+    assert motion.found and motion.slips == [] and motion.unseen == []
+    assert slant(claim, true) > 1.0
+    assert slant(fixed, true) < 0.15
+    assert 1e3 * np.std(np.diff(motion.heave - truth.shift[:, 2])) < 0.1
+    assert np.std(np.diff(motion.yaw - truth.yaw)) < 2 * np.median(motion.sigma[:, 3]) < 400e-6
+    assert 0.95 < motion.coherence.min() and motion.overlap == pytest.approx(4 * np.ones(19))
+    assert fixed.attrs["motion"].startswith("micronavigation: shifts of up to")
+    assert_allclose(motion.shift[:, :2], np.stack([motion.surge, motion.sway], axis=1), atol=1e-12)  # of a claim along x
+    text = str(motion)
+    for word in ("found", "heading", "pitch", "sure to", "phase centres overlap", "peaks may lose"):
+        assert word in text
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_true_track_stays(seed):
+    true, _, _ = small(seed)
+    assert slant(navigate(true).apply(true), true) < 0.1
+
+
+def test_coordinates_do_not_matter():
+    """Turned, far away, z up; a cone; speeds and starts a ping; trailing zeros of threads."""
+    _, claim, _ = small()
+    plain = navigate(claim)
+    for angle, shift in ((2.0, (5e5, 4e6, 0.0)), (-np.pi / 2, (0.0, 0.0, 0.0))):
+        other = navigate(turned(claim, angle, shift))
+        for name in ("surge", "sway", "heave", "yaw"):
+            assert_allclose(getattr(other, name), getattr(plain, name), atol=1e-6)
+    other = navigate(turned(claim, 0.3, over=True), -8.0)
+    assert_allclose(other.surge, plain.surge, atol=1e-6)
+    for name in ("sway", "heave", "yaw"):
+        assert_allclose(getattr(other, name), -getattr(plain, name), atol=1e-6)
+    cone = claim.replace(beam=pysas.Beam(claim.beam.boresight, 0.1, 0.15, shape="cone"))
+    assert_allclose(navigate(cone, threads=1).shift, plain.shift, atol=1e-9)
+    each = claim.replace(c=np.full(20, 1500.0), t0=np.full(20, float(claim.t0)))
+    assert_allclose(navigate(each).shift, plain.shift, atol=1e-9)
+
+
+def test_starts_and_windows_a_ping():
+    """Records that start when they like, and samples that were not recorded, whatever they hold."""
+    true, claim, _ = small()
+    rng = np.random.default_rng(0)
+    late, n = rng.integers(0, 30, 20), claim.n_sample - 30
+    data = np.stack([claim.data[p, :, k : k + n] for p, k in enumerate(late)])
+    assert slant(navigate(claim.replace(data=data, t0=claim.t0 + late / claim.fs)).apply(claim), true) < 0.2
+    data = np.array(claim.data)
+    for p, k in enumerate(late):
+        data[p, :, :k], data[p, :, n + k :] = 1e6, -1e6
+    valid = np.stack([late, late + n - 1], axis=1)
+    assert slant(navigate(claim.replace(data=data, valid=valid)).apply(claim), true) < 0.2
+
+
+def test_two_sides_are_one_solution():
+    (right, one, _), (left, other, _) = small(3), small(3, side=-1)
+    motion = navigate([one, other])
+    assert slant(motion.apply(one), right) < 0.15 and slant(motion.apply(other), left) < 0.15
+    assert np.all(motion.sigma[:, 3] < navigate(one).sigma[:, 3])
+    with pytest.raises(ValueError, match="sides of 20 and 19 pings"):
+        navigate([one, other[:19]])
+
+
+def test_one_overlapping_centre_and_a_gyro():
+    true, _, truth = small(2, overlap=1, pings=16)
+    claim = motion_scenes.claimed(true, pysas.tracks.inertial(truth.track, seed=2))
+    with pytest.raises(ValueError, match="pings 0 and 1 overlap .*prior=Prior"):
+        navigate(claim)
+    motion = navigate(claim, prior=Prior(speed=6e-3, gyro=1e-5, depth=5e-4))
+    assert motion.found
+    assert slant(motion.apply(claim), true) < min(0.15, slant(claim, true))
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.1, 1.25])
+def test_a_wrong_advance_is_found(factor):
+    true, claim, truth = small()
+    track = dataclasses.replace(truth.claim, position=truth.claim.position * [factor, 1.0, 1.0])
+    wrong = motion_scenes.claimed(claim, track)
+    fixed = navigate(wrong).apply(wrong)
+    assert slant(fixed, true) < 0.2
+    assert abs(np.ptp(fixed.tx[:, 0]) - np.ptp(true.tx[:, 0])) < 5e-3
+
+
+def test_a_ping_lost_and_a_gap_are_bridged():
+    """Nothing joins what lies before and after but smooth motion; said, and far better than the claim all the same."""
+    true, claim, _ = small(pings=40)
+    data = np.array(claim.data)
+    data[20] = 0
+    motion = navigate(claim.replace(data=data))
+    assert motion.unseen == [19, 20] and "pings 19, 20: nothing correlates" in str(motion)
+    assert slant(motion.apply(claim), true) < 0.25 * slant(claim, true)
+    kept = np.r_[0:18, 22:40]
+    motion = navigate(claim[kept])
+    assert motion.unseen == [17]
+    assert slant(motion.apply(claim[kept]), true[kept]) < 0.5 * slant(claim[kept], true[kept])
+
+
+# Nothing to go by
+
+
+def unchanged(echoes, why, **more):
+    motion = navigate(echoes, **more)
+    assert not motion.found and why in motion.why and "track unchanged" in str(motion)
+    assert not motion.shift.any() and not motion.yaw.any()
+    assert motion.apply(echoes) is echoes
+
+
+def test_noise_is_no_track():
+    _, claim, _ = small()
+    rng = np.random.default_rng(0)
+    noise = (rng.standard_normal(claim.data.shape) + 1j * rng.standard_normal(claim.data.shape)).astype(np.complex64)
+    unchanged(claim.replace(data=noise), "19 of 19 pairs of pings do not correlate, the first of them pings 0 and 1")
+    unchanged(claim.replace(data=0 * noise), "do not correlate")
+    repeated = np.repeat(claim.data[:1], 20, axis=0)
+    with pytest.raises(ValueError, match="ping 1 repeats the samples of ping 0"):
+        navigate(claim.replace(data=repeated))
+    unchanged(claim.replace(data=repeated + 1e-3 * noise), "saw the same from the same place, the first of them pings 0 and 1")
+
+
+def test_bright_points_alone_do():
+    """Nothing but noise and four points: surge is unknown, and said to be; the rest is found in the windows that hold one."""
+    places = ((-2.0, 22.0), (0.0, 24.0), (1.0, 26.0), (2.0, 30.0))
+    true, claim, _ = scene(pings=24, density=0.0, targets=places, swath=(20.0, 32.0), snr_db=30.0, seed=1)
+    motion = navigate(claim)
+    assert slant(motion.apply(claim), true) < min(0.5, 0.1 * slant(claim, true))
+    assert slant(motion.apply(claim), true) < 3 * 1e3 * np.sqrt(np.mean(motion.track_sigma**2))
+
+
+def test_what_cannot_be_is_named():
+    _, claim, truth = small()
+    with pytest.raises(ValueError, match="beam=None: expected a pysas.Beam"):
+        navigate(claim.replace(beam=None))
+    with pytest.raises(ValueError, match="one ping: expected at least two"):
+        navigate(claim[:1])
+    with pytest.raises(ValueError, match="compressed=False"):
+        navigate(claim.replace(compressed=False))
+    with pytest.raises(ValueError, match="fewer than two phase centres of pings 0 and 1 overlap"):
+        navigate(claim.channels(slice(0, 5)))
+    with pytest.raises(ValueError, match="no phase centres of pings 0 and 1 overlap"):
+        navigate(claim.channels(0), prior=Prior(gyro=1e-5))
+    far = dataclasses.replace(truth.claim, position=truth.claim.position * [3.0, 1.0, 1.0])
+    with pytest.raises(ValueError, match="of pings 0 and 1 overlap"):
+        navigate(motion_scenes.claimed(claim, far))
+    with pytest.raises(ValueError, match="windows=100: expected at least 8 samples .* and at most the 1.* m of slant range"):
+        navigate(claim, windows=100.0)
+    with pytest.raises(ValueError, match="0 m of slant range that the record has of a seabed at z = 100 m"):
+        navigate(claim, 100.0)
+    with pytest.raises(ValueError, match="speed=0.001: expected echoes whose pings have times"):
+        navigate(claim.replace(velocity=None, ping_time=None), prior=Prior(speed=1e-3))
+    with pytest.raises(ValueError, match="velocity='stay'"):
+        navigate(claim, velocity="stay")
+    with pytest.raises(TypeError, match="prior=3: expected a pysas.motion.Prior"):
+        navigate(claim, prior=3)
+    with pytest.raises(TypeError, match="list: expected pysas.Echoes"):
+        navigate([[claim]])
+    with pytest.raises(ValueError, match="elements: expected shape"):
+        pysas.micronavigate(claim, elements=(0.1,))
+    with pytest.raises(ValueError, match="19 pings: expected 20"):
+        navigate(claim).apply(claim[:19])
