@@ -1,6 +1,6 @@
 """Micronavigation against the true tracks of simulated seabeds; its parts against mathematics and plain NumPy.
 
-Scenes are those of `motion_scenes`, sampled at 40 kHz: at 30 kHz what lies beyond the pulse's band folds into it, and lowers
+Scenes are those of `motion_scenes`, sampled at 50 kHz: at 30 kHz what lies beyond the pulse's band folds into it, and lowers
 the coherence of displaced pings from 0.998 to 0.99.
 """
 
@@ -28,7 +28,7 @@ ELEMENTS = (motion_scenes.TX, motion_scenes.RX)
 
 def scene(**more):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(motion_scenes, "FS", 40e3)
+        patch.setattr(motion_scenes, "FS", 50e3)
         return motion_scenes.scene(**more)
 
 

@@ -15,7 +15,7 @@ from pysas.motion.surging import mean_square_sine, surges
 FIRST_REACH, REACH = 6, 3  # lags read on either side, samples: an arrival is looked for within FIRST_REACH/2, then within 1
 _FINER = 8  # lags looked at per sample
 _LEAST = 0.3  # coherence of a window that counts
-_FLOOR = 5e-3  # rad: phases are never better known
+_FLOOR = 2e-3  # rad: phases are never better known
 _TRIED, _DISTINCT = 16, 1.5  # pings between all of whose channels is looked; how much stronger a missed separation must be
 _BESIDE = 0.2  # steps of the phase centres by which separations that count may lie farther from 0 than the nearest
 _SEEN = 6.0  # standard deviations above noise's coherence at which two pings have seen the same
