@@ -10,69 +10,101 @@ from numba import njit
 
 RAYLEIGH = 0.8325546111576977  # median of a Rayleigh distribution over its rms, sqrt(ln 2)
 LIMIT = 2.0  # rms at which a window's amplitudes are clipped: a bright point correlates whatever the separation
+_SUMS = {"contract", "reassoc", "nsz"}  # sums in any order, without which compilers take one term at a time
 
 
 @njit(nogil=True, cache=True)
-def _limit(trace, first, last, scratch):  # type: ignore[no-untyped-def]
-    """What amplitudes trace[first:last] are clipped at; 0 where fewer than half of them were recorded."""
-    count = 0
-    for n in range(first, last):
-        power = trace[n].real * trace[n].real + trace[n].imag * trace[n].imag
-        if power > 0.0:
-            scratch[count] = power
-            count += 1
+def _limit(trace, first, last, power, bits, top):  # type: ignore[no-untyped-def]
+    """Square of what amplitudes trace[first:last] are clipped at; 0 where fewer than half of them were recorded.
+
+    power, bits: room for as many reals, seen as reals and as whole numbers, of which positive reals have the same order; their
+    median is found bit by bit from the `top` on, to one part in 16.
+    """
+    count = np.int32(0)
+    part = trace[first:last]
+    for n in range(power.size):
+        p = part[n].real * part[n].real + part[n].imag * part[n].imag
+        power[n] = p
+        count += np.int32(1) if p > 0 else np.int32(0)
     if 2 * count < last - first:
-        return 0.0
-    return LIMIT * math.sqrt(np.median(scratch[:count])) / RAYLEIGH
+        return power.dtype.type(0)
+    found = bits.dtype.type(0)
+    for place in range(12):
+        trial = bits.dtype.type(found | (1 << (top - place)))
+        above = np.int32(0)
+        for n in range(bits.size):
+            above += np.int32(1) if bits[n] >= trial else np.int32(0)
+        if 2 * above >= count:
+            found = trial
+    bits[0] = found
+    return power.dtype.type((LIMIT / RAYLEIGH) ** 2) * power[0]
+
+
+@njit(nogil=True, cache=True, fastmath=_SUMS)
+def _clip(trace, first, last, most, re, im):  # type: ignore[no-untyped-def]
+    """Parts of trace[first:last], to `re` and `im`, with squares clipped at `most`."""
+    part = trace[first:last]
+    for n in range(part.size):
+        a, b = part[n].real, part[n].imag
+        by = np.sqrt(most / max(a * a + b * b, most))
+        re[n] = a * by
+        im[n] = b * by
+
+
+@njit(nogil=True, cache=True, fastmath=_SUMS)
+def _products(a, b, c, d, length, out):  # type: ignore[no-untyped-def]
+    """Sums of (c + j d)[n + lag] conj((a + j b)[n])."""
+    for lag in range(out.size):
+        re, im = np.float32(0), np.float32(0)
+        for n in range(length):
+            re += c[n + lag] * a[n] + d[n + lag] * b[n]
+            im += d[n + lag] * a[n] - c[n + lag] * b[n]
+        out[lag] = complex(re, im)
+
+
+@njit(nogil=True, cache=True, fastmath=_SUMS)
+def _both(a, b, c, d, length):  # type: ignore[no-untyped-def]
+    """Sums of squares of a + j b and of c + j d where both are something, and how many."""
+    here, there, count = np.float32(0), np.float32(0), 0
+    for n in range(length):
+        p, q = a[n] * a[n] + b[n] * b[n], c[n] * c[n] + d[n] * d[n]
+        both = p > 0 and q > 0
+        here += p if both else np.float32(0)
+        there += q if both else np.float32(0)
+        count += both
+    return here, there, count
 
 
 @njit(nogil=True, cache=True)
-def _clipped(value, most):  # type: ignore[no-untyped-def]
-    size = math.sqrt(value.real * value.real + value.imag * value.imag)
-    return complex(value) * (most / size if size > most else 1.0)
-
-
-@njit(nogil=True, cache=True)
-def windows(first, second, length, products, powers, counts):  # type: ignore[no-untyped-def]
+def windows(first, second, length, power, bits, top, products, powers, counts):  # type: ignore[no-untyped-def]
     """Correlations of rows of two traces (row, n) in windows of `length` samples.
 
     products (row, window, 2 m + 1): sum of second[n + lag] conj(first[n]), lag from -m to m; powers (row, window): root of the
     product of both sums of squares; counts (row, window): samples that both recorded. A window of fewer than half is left 0.
+    power, bits, top: see `_limit`.
     """
     n_sample, reach = first.shape[1], products.shape[2] // 2
-    scratch = np.empty(length)
-    a, b = np.empty(length, dtype=np.complex128), np.empty(length + 2 * reach, dtype=np.complex128)
+    kind = first.real.dtype
+    a, b = np.empty(length, dtype=kind), np.empty(length, dtype=kind)
+    c, d = np.zeros(length + 2 * reach, dtype=kind), np.zeros(length + 2 * reach, dtype=kind)
     for row in range(first.shape[0]):
         for window in range(products.shape[1]):
             low = window * length
-            high = low + length
-            one = _limit(first[row], low, high, scratch)
-            two = _limit(second[row], low, high, scratch)
             counts[row, window] = 0.0
             powers[row, window] = 0.0
-            for lag in range(2 * reach + 1):
-                products[row, window, lag] = 0.0
+            products[row, window, :] = 0.0
+            one = _limit(first[row], low, low + length, power, bits, top)
+            two = _limit(second[row], low, low + length, power, bits, top)
             if one == 0.0 or two == 0.0:
                 continue
-            for n in range(length):
-                a[n] = _clipped(first[row, low + n], one)
-            for n in range(length + 2 * reach):
-                at = low + n - reach
-                b[n] = _clipped(second[row, at], two) if 0 <= at < n_sample else 0.0
-            here, there, count = 0.0, 0.0, 0
-            for n in range(length):
-                p = a[n].real * a[n].real + a[n].imag * a[n].imag
-                q = b[n + reach].real * b[n + reach].real + b[n + reach].imag * b[n + reach].imag
-                if p > 0.0 and q > 0.0:
-                    here += p
-                    there += q
-                    count += 1
-            for lag in range(2 * reach + 1):
-                total = 0.0 + 0.0j
-                for n in range(length):
-                    total += b[n + lag] * a[n].conjugate()
-                products[row, window, lag] = total
-            powers[row, window] = math.sqrt(here * there)
+            _clip(first[row], low, low + length, one, a, b)
+            begin, end = max(low - reach, 0), min(low + length + reach, n_sample)
+            c[:] = 0
+            d[:] = 0
+            _clip(second[row], begin, end, two, c[begin - low + reach :], d[begin - low + reach :])
+            _products(a, b, c, d, length, products[row, window])
+            here, there, count = _both(a, b, c[reach:], d[reach:], length)
+            powers[row, window] = math.sqrt(here) * math.sqrt(there)
             counts[row, window] = count
 
 
