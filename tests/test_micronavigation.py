@@ -94,17 +94,19 @@ def test_surge_is_where_coherence_is_largest():
 
 
 def test_windows_correlate_as_numpy_does():
-    """Amplitudes are clipped at 2 rms as the median says; a window of which less than half was recorded is left out."""
+    """Amplitudes are clipped at 2 rms as the median says (of an even number, the larger one in the middle; found to 1 in 4096); a
+    window of which less than half was recorded is left out."""
     rng = np.random.default_rng(0)
     a, b = (rng.standard_normal((2, 3, 200)) + 1j * rng.standard_normal((2, 3, 200))).astype(np.complex64)
     a[0, 30] = 100.0
     a[2, :60] = 0
     products, powers, counts = np.empty((3, 2, 5), dtype=complex), np.empty((3, 2)), np.empty((3, 2))
-    correlating.windows(a, b, 100, products, powers, counts)
+    squares = np.empty(100, dtype=np.float32)
+    correlating.windows(a, b, 100, squares, squares.view(np.int32), 30, products, powers, counts)
 
     def clipped(trace, window):
-        part = trace[window]
-        most = 2 * np.sqrt(np.median(np.abs(part[part != 0]) ** 2) / np.log(2))
+        power = np.sort(np.abs(trace[window][trace[window] != 0]) ** 2)
+        most = 2 * np.sqrt(power[power.size // 2] / np.log(2))
         return trace * np.minimum(1, most / np.maximum(np.abs(trace), 1e-30))
 
     for row in range(3):
@@ -114,11 +116,11 @@ def test_windows_correlate_as_numpy_does():
                 assert powers[row, window] == counts[row, window] == 0 and not products[row, window].any()
                 continue
             one, two = clipped(a[row], part)[part], clipped(b[row], part)
-            assert_allclose(powers[row, window], np.linalg.norm(one) * np.linalg.norm(two[part]), rtol=1e-5)
+            assert_allclose(powers[row, window], np.linalg.norm(one) * np.linalg.norm(two[part]), rtol=2e-4)
             padded = np.pad(two, 2)
             for lag in range(-2, 3):
                 expected = np.vdot(one, padded[part.start + 2 + lag : part.stop + 2 + lag])
-                assert_allclose(products[row, window, lag + 2], expected, atol=1e-3)
+                assert_allclose(products[row, window, lag + 2], expected, atol=0.02)
             assert counts[row, window] == 100
 
 

@@ -18,7 +18,7 @@ def _limit(trace, first, last, power, bits, top):  # type: ignore[no-untyped-def
     """Square of what amplitudes trace[first:last] are clipped at; 0 where fewer than half of them were recorded.
 
     power, bits: room for as many reals, seen as reals and as whole numbers, of which positive reals have the same order; their
-    median is found bit by bit from the `top` on, to one part in 16.
+    median is found bit by bit from the `top` on, to one part in 4096.
     """
     count = np.int32(0)
     part = trace[first:last]
@@ -29,7 +29,7 @@ def _limit(trace, first, last, power, bits, top):  # type: ignore[no-untyped-def
     if 2 * count < last - first:
         return power.dtype.type(0)
     found = bits.dtype.type(0)
-    for place in range(12):
+    for place in range(20):
         trial = bits.dtype.type(found | (1 << (top - place)))
         above = np.int32(0)
         for n in range(bits.size):
