@@ -1,0 +1,306 @@
+"""Autofocus: phases of pings that make patches of a back-projected image sharp, as a smooth correction of the track.
+
+The cost of a patch b with image I_b(x) = sum_p X_p(x) exp(-j k u_p(x).delta_p) is its entropy or its sharpness. Its derivative
+
+    dF/d delta_p = sum_x 2 Re[-j k u_p(x) F'(x) conj(I(x)) X_p(x) exp(-j k u_p(x).delta_p)]
+
+costs as much as the cost itself, however many unknowns delta has (J. Ash 2012, IEEE GRSL 9, 104, has the phase of one ping).
+Lines of sight are linear over a patch, so that the factors are products of one along each of its axes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.interpolate
+import scipy.optimize
+import scipy.sparse
+
+from pysas import _checks
+from pysas._checks import FloatArray
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.motion import patches as _patches
+from pysas.motion.moving import VELOCITIES, centres, moved
+from pysas.motion.patches import Patch, axes_of, wave_numbers
+from pysas.motion.results import Report
+
+METRICS = ("entropy", "sharpness")
+COMPONENTS = ("surge", "sway", "heave")
+ORDER = 3  # cubic
+LEAST_PINGS = 8
+PASSES = 3  # over one set of knots
+STEPS = 60  # of the minimiser
+PRIOR = 1 / 500  # weight of the prior beside costs of order one: about one over a point's energy beside its image's noise
+STILL = 1e-3  # wavelengths: a step that moves no ping farther ends a set of knots
+
+
+def cost_of(power: FloatArray, metric: str) -> tuple[float, FloatArray]:
+    """Cost of an image of this |I|^2, and its derivative by |I|^2."""
+    total = float(power.sum())
+    if metric == "entropy":
+        share = power / total
+        logarithm = np.log(np.where(share > 0, share, 1.0))
+        entropy = -float(np.sum(share * logarithm))
+        return entropy, -(logarithm + entropy) / total
+    fourth = float(np.sum(power**2))
+    return -float(np.log(fourth / total**2)), -(2 * power / fourth - 2 / total)
+
+
+def patch_cost(patch: Patch, delta: FloatArray, k: FloatArray, metric: str) -> tuple[float, FloatArray]:
+    """Cost of a patch with its pings moved by delta (n, 3), m, and its derivative by delta; k: (n,) wave numbers."""
+    kind = patch.terms.dtype
+    first, second = (
+        np.exp(-1j * (k * np.sum(turn * delta, axis=1))[:, None] * patch.offsets).astype(kind) for turn in patch.turns
+    )
+    first *= np.exp(-1j * k * np.sum(patch.look * delta, axis=1)).astype(kind)[:, None]
+    terms = patch.terms * first[:, :, None]
+    terms *= second[:, None, :]
+    image = terms.sum(axis=0)
+    value, slope = cost_of(np.abs(image).astype(np.float64) ** 2, metric)
+    back = (slope * image.conj()).astype(kind)
+    weights = np.stack([back, back * patch.offsets[:, None], back * patch.offsets], axis=-1).reshape(-1, 3).astype(kind)
+    moments = terms.reshape(len(terms), -1) @ weights
+    pull = 2 * k[:, None] * moments.imag
+    gradient = pull[:, :1] * patch.look + pull[:, 1:2] * patch.turns[0] + pull[:, 2:] * patch.turns[1]
+    return value, np.asarray(gradient)
+
+
+def costs(patches: Sequence[Patch], metric: str) -> FloatArray:
+    """(patch,) costs of patches as they are."""
+    return np.array([cost_of(np.abs(patch.image()).astype(np.float64) ** 2, metric)[0] for patch in patches])
+
+
+class _Basis:
+    """Smooth corrections of a track: coefficients to (ping, 3) shifts, several components side by side."""
+
+    def __init__(self, functions: Any, directions: list[FloatArray]) -> None:
+        self.functions = scipy.sparse.csr_array(functions)
+        self.directions = directions
+        self.count = self.functions.shape[1]
+
+    def series(self, theta: FloatArray) -> FloatArray:
+        """(component, ping) displacements."""
+        return np.stack([self.functions @ part for part in theta.reshape(len(self.directions), self.count)])
+
+    def shift(self, series: FloatArray) -> FloatArray:
+        return np.asarray(sum(row[:, None] * way for row, way in zip(series, self.directions, strict=True)))
+
+    def back(self, pull: FloatArray) -> FloatArray:
+        """Derivatives by coefficients, of those by (component, ping) displacements."""
+        return np.concatenate([self.functions.T @ row for row in pull])
+
+
+def _splines(n_ping: int, count: int) -> Any:
+    """(ping, count) clamped cubic B-splines over the number of the ping."""
+    inner = np.linspace(0, n_ping - 1, count - ORDER + 1)
+    knots = np.concatenate([np.zeros(ORDER), inner, np.full(ORDER, n_ping - 1.0)])
+    return scipy.interpolate.BSpline.design_matrix(np.arange(n_ping, dtype=np.float64), knots, ORDER)
+
+
+def _waves(angle: FloatArray, highest: int) -> FloatArray:
+    """(ping, 2 (highest - 1)) harmonics 2 ... highest of the angle."""
+    orders = np.arange(2, highest + 1)
+    return np.concatenate([np.cos(np.outer(angle, orders)), np.sin(np.outer(angle, orders))], axis=1)
+
+
+def angles(middle: FloatArray) -> FloatArray:
+    """(ping,) angles of phase centres about the circle through them that fits best (least squares of x^2 + y^2), rad."""
+    x, y = (middle[:, :2] - middle[:, :2].mean(axis=0)).T
+    design = np.stack([x, y, np.ones(x.size)], axis=1)
+    (a, b, _), *_ = np.linalg.lstsq(design, x**2 + y**2, rcond=None)
+    return np.asarray(np.arctan2(y - b / 2, x - a / 2))
+
+
+class _Prior:
+    """1/2 sum ((second difference of a displacement)/sigma)^2, weighed PRIOR beside the costs of patches."""
+
+    def __init__(self, sigma: FloatArray) -> None:  # (component, ping - 2)
+        self.sigma = sigma
+
+    def __call__(self, series: FloatArray) -> tuple[float, FloatArray]:
+        scaled = np.diff(series, 2, axis=1) / self.sigma
+        slope = scaled / self.sigma
+        pull = np.zeros_like(series)
+        pull[:, :-2] += slope
+        pull[:, 1:-1] -= 2 * slope
+        pull[:, 2:] += slope
+        return PRIOR * 0.5 * float(np.sum(scaled**2)), PRIOR * pull
+
+
+def _prior_of(prior: Any, echoes: Echoes, components: Sequence[str]) -> _Prior | None:
+    """Of a found motion's sigmas of increments: its sway bends as its yaw errs, sigma = advance x sigma of yaw."""
+    if prior is None:
+        return None
+    n = echoes.n_ping - 2
+    if not hasattr(prior, "sigma"):
+        return _Prior(np.full((len(components), n), _checks.number("prior", prior, positive=True)))
+    sigma = _checks.reals("prior.sigma", prior.sigma, [(echoes.n_ping, 4)], ("ping",))[1:]
+    advance = np.linalg.norm(np.diff(centres(echoes), axis=0), axis=1)
+    of = {"surge": np.sqrt(2) * sigma[:, 0], "sway": advance * sigma[:, 3], "heave": np.sqrt(2) * sigma[:, 2]}
+    found = []
+    for name in components:
+        if not np.all(of[name] > 0):
+            ping = int(np.argmin(of[name] > 0)) + 1
+            raise ValueError(f"prior: sigma {of[name][ping - 1]:g} m of {name} at ping {ping}: expected numbers > 0")
+        found.append(np.sqrt((of[name][1:] ** 2 + of[name][:-1] ** 2) / 2))
+    return _Prior(np.array(found))
+
+
+def minimised(
+    kept: Sequence[Patch], basis: _Basis, k: FloatArray, metric: str, prior: _Prior | None, sofar: FloatArray
+) -> tuple[FloatArray, int]:
+    """(component, ping) displacements that lower the patches' costs, and how often these were looked at; `sofar` are those that
+    led to the patches, which the prior speaks of as well."""
+    scale = 1 / float(np.median(k))  # unknowns in rad
+
+    def objective(theta: FloatArray) -> tuple[float, FloatArray]:
+        series = basis.series(theta * scale)
+        shift = basis.shift(series)
+        value, pull = 0.0, np.zeros_like(shift)
+        for patch in kept:
+            one, slope = patch_cost(patch, shift[patch.pings], k[patch.pings], metric)
+            value += one
+            pull[patch.pings] += slope
+        along = np.stack([np.sum(pull * way, axis=1) for way in basis.directions])
+        if prior is not None:
+            more, bend = prior(series + sofar)
+            value, along = value + more, along + bend
+        return value, basis.back(along) * scale
+
+    start = np.zeros(len(basis.directions) * basis.count)
+    best = scipy.optimize.minimize(objective, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+    return basis.series(best.x * scale), int(best.nfev)
+
+
+def without_gauge(series: FloatArray, arc: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(component, ping) displacements without their means and slopes along the track, and these (component, 2)."""
+    design = np.stack([np.ones(arc.size), arc - arc.mean()], axis=1)
+    found, *_ = np.linalg.lstsq(design, series.T, rcond=None)
+    return np.asarray(series - (design @ found).T), np.asarray(found.T)
+
+
+def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArray:
+    """Where a point at `place` appears once its pings are shifted by (n, 3), m, on top: horizontally, by least squares of slant
+    ranges."""
+    wanted = np.sum(patch.look * shift, axis=1)
+    design = np.column_stack([patch.look[:, :2], np.ones(len(wanted))])
+    found, *_ = np.linalg.lstsq(design, wanted, rcond=1e-9)
+    return place + np.array([found[0], found[1], 0.0])
+
+
+@_checks.usual_errors
+def autofocus(
+    echoes: Echoes,
+    grid: Grid,
+    metric: str = "entropy",
+    components: Sequence[str] = ("sway",),
+    knots: Sequence[int] = (8, 16, 32),
+    prior: Any = None,
+    harmonics: int | None = None,
+    velocity: str = "follow",
+    tol: float = 1e-2,
+    threads: int | None = None,
+) -> tuple[Echoes, Report]:
+    """XX"""
+    began = time.perf_counter()
+    levels = _validated(echoes, grid, metric, components, knots, harmonics, velocity)
+    names = tuple(components)
+    ways = axes_of(echoes)
+    directions = [ways[name] for name in names]
+    middle = centres(echoes)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
+    k = wave_numbers(echoes)
+    bound = _prior_of(prior, echoes, names)
+    wavelength = echoes.mean_speed / echoes.fc
+    cell = echoes.mean_speed / (2 * echoes.occupied_bandwidth)
+
+    detection = _patches.found(echoes, grid, tol, threads)
+    kept = [patch for patch in _patches.centred(echoes, detection.centres, tol, threads) if patch is not None]
+    series = np.zeros((len(names), echoes.n_ping))
+    gauge = np.zeros((len(names), 2))
+    track, taken, looked = echoes, False, 0
+    before = now = costs(kept, metric)
+    told: list[str] = []
+    for functions, label in levels if kept else []:
+        basis = _Basis(functions, directions)
+        for _ in range(PASSES):
+            step, count = minimised(kept, basis, k, metric, bound, series)
+            looked += count
+            total = series + step
+            removed = np.zeros_like(gauge)
+            if harmonics is None:
+                total, removed = without_gauge(total, arc)
+            largest = float(np.max(np.linalg.norm(basis.shift(total - series), axis=1)))
+            said = f"{label}: {1e3 * largest:.3g} mm at most"
+            if largest > cell:
+                told.append(f"{said}: not taken: more than a range cell of {1e3 * cell:.3g} mm")
+                break
+            expected = []
+            for patch in kept:
+                tried = basis.shift(step)[patch.pings]
+                rest = basis.shift(total - series - step)[patch.pings]
+                expected.append(moved_place(patch, _peak(patch, tried, k[patch.pings]), rest))
+            candidate = moved(echoes, basis.shift(total), np.zeros(echoes.n_ping), velocity)
+            again = _patches.centred(candidate, np.array(expected), tol, threads)
+            there = [patch for patch in again if patch is not None]
+            if len(there) < len(kept):
+                told.append(f"{said}: not taken: {len(kept) - len(there)} bright points left their patches")
+                break
+            after = costs(there, metric)
+            if not np.all(after < now):
+                told.append(
+                    f"{said}: not taken: {metric} rises in {int(np.count_nonzero(after >= now))} of {len(kept)} patches, "
+                    f"by {np.max(after - now):.2g} at most"
+                )
+                break
+            told.append(f"{said}: taken: {metric} {now.mean():.4g} to {after.mean():.4g}")
+            series, track, kept, now, taken, gauge = total, candidate, there, after, True, gauge + removed
+            if largest < STILL * wavelength:
+                break
+    shift = np.asarray(sum(row[:, None] * way for row, way in zip(series, directions, strict=True)))
+    seen = np.unique(np.concatenate([patch.pings for patch in kept])).size / echoes.n_ping if kept else 0.0
+    report = Report(
+        "autofocus", metric, bool(kept), taken, _why(detection, kept, taken, metric), np.array([before, now]),
+        np.array([patch.centre for patch in kept]).reshape(-1, 3), detection.contrast, shift, np.zeros(echoes.n_ping),
+        float(np.max(np.linalg.norm(shift, axis=1))), gauge, names, seen, looked, time.perf_counter() - began,
+        tuple(told),
+    )  # fmt: skip
+    return track, report
+
+
+def _peak(patch: Patch, delta: FloatArray, k: FloatArray) -> FloatArray:
+    first, second = (np.exp(-1j * (k * np.sum(turn * delta, axis=1))[:, None] * patch.offsets) for turn in patch.turns)
+    first = first * np.exp(-1j * k * np.sum(patch.look * delta, axis=1))[:, None]
+    image = np.abs(np.einsum("pxy,px,py->xy", patch.terms, first, second, optimize=True))
+    i, j = np.unravel_index(int(np.argmax(image)), image.shape)
+    return patch.centre + np.array([patch.offsets[i], patch.offsets[j]]) @ patch.steps
+
+
+def _why(detection: Any, kept: Sequence[Patch], taken: bool, metric: str) -> str:
+    if not kept:
+        if not np.isfinite(detection.highest):
+            return "nothing found: the image of the grid is empty"
+        return (
+            f"not informative: the brightest pixel is {detection.highest:.3g} dB above the clutter about it, a bright point "
+            f"{detection.threshold:.3g} dB"
+        )
+    return f"{metric} fell in all {len(kept)} patches" if taken else "no step lowers the cost of every patch"
+
+
+def _validated(
+    echoes: Any, grid: Any, metric: Any, components: Any, knots: Any, harmonics: Any, velocity: Any
+) -> list[tuple[Any, str]]:
+    levels: list[tuple[Any, str]] = []
+    if harmonics is None:
+        for count in knots:
+            levels.append((_splines(echoes.n_ping, count), f"{count} knots"))
+    else:
+        angle = angles(centres(echoes))
+        for highest in [n for n in (4, 8, 16, 32) if n < harmonics] + [harmonics]:
+            levels.append((_waves(angle, highest), f"harmonics 2 to {highest}"))
+    return levels

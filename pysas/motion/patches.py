@@ -1,0 +1,299 @@
+"""Small patches about bright points: where an image has some, and what each ping contributes to their pixels.
+
+A patch is a square of PIXELS x PIXELS points in the horizontal plane through its centre, one axis along the mean horizontal line
+of sight, spaced so that its image is sampled above the Nyquist rate of what the centre's pings show of it. It keeps the terms of
+the sum of each ping that sees it, so that phases of pings can be tried without reading an echo again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.ndimage
+
+from pysas._checks import ComplexArray, FloatArray
+from pysas.imaging.contributions import contributions
+from pysas.imaging.doorways import focus
+from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
+from pysas.motion.moving import centres
+
+PIXELS = 41  # of a patch along each axis: some 13 resolution cells to either side
+MARGIN = 1.3  # spacing of a patch's pixels below Nyquist's
+MOST = 32  # patches
+FALSE_ALARM = 1e-3  # chance that an image of developed speckle has any bright point
+DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest one's: what lies below is taken for its side lobes
+TILE = 32  # pixels along each axis over which the clutter's level is taken
+FAINT = 1e-2  # energy of a ping beside the strongest one's below which it does not see a point
+CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
+BATCH = 100e6  # bytes of points in one call
+
+Int = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What an image says of bright points.
+
+    Attributes
+    ----------
+    centres : (point, 3)
+        Of bright isolated maxima, brightest first, m.
+    contrast : float
+        n sum |I|^4 / (sum |I|^2)^2 over its n pixels that are not 0: 2 in developed speckle.
+    highest, threshold : float
+        The largest power of a pixel over the mean power of the clutter about it, and what a bright point needs, dB.
+    """
+
+    centres: FloatArray
+    contrast: float
+    highest: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """One patch and what pings contribute to it.
+
+    Attributes
+    ----------
+    centre : (3,)
+        m.
+    steps : (2, 3)
+        From pixel to pixel along its axes, m.
+    offsets : (PIXELS,)
+        Of pixels from the centre along either axis, in steps.
+    pings : (n,) whole numbers
+        Those that see it.
+    terms : (n, PIXELS, PIXELS)
+        What each contributes, all its channels together.
+    look : (n, 3)
+        Unit vectors from the pings' phase centres to the centre.
+    turns : (2, n, 3)
+        By how much they differ one step further along each axis.
+    """
+
+    centre: FloatArray
+    steps: FloatArray
+    offsets: FloatArray
+    pings: Int
+    terms: ComplexArray
+    look: FloatArray
+    turns: FloatArray
+
+    def image(self) -> ComplexArray:
+        """(PIXELS, PIXELS) sum over pings."""
+        return np.asarray(self.terms.sum(axis=0))
+
+    def brightest(self) -> tuple[FloatArray, float]:
+        """Where its image has its largest magnitude, m, and how far that is from the centre, 1 at the patch's edge."""
+        image = self.image()
+        first, second = np.unravel_index(int(np.argmax(np.abs(image))), image.shape)
+        at = np.array([self.offsets[first], self.offsets[second]])
+        return self.centre + at @ self.steps, float(np.max(np.abs(at)) / self.offsets[-1])
+
+
+def axes_of(echoes: Echoes) -> dict[str, FloatArray]:
+    """(ping, 3) horizontal directions along ("surge") and across ("sway", 90 degrees on from +x towards +y) each ping's array,
+    of one receiver along the way; and the vertical ("heave")."""
+    middle = centres(echoes)
+    index = np.arange(echoes.n_ping)
+    reach = min(4, max(1, (echoes.n_ping - 1) // 2))
+    way = middle[np.minimum(index + reach, index[-1])] - middle[np.maximum(index - reach, 0)]
+    forward = way[:, :2]
+    if echoes.n_channel > 1:
+        receivers = echoes.receivers[..., :2]
+        apart = np.linalg.norm(receivers - receivers[:, :1], axis=2)
+        far = int(np.argmax(apart.mean(axis=0)))
+        array = receivers[:, far] - receivers[:, 0]
+        if np.all(np.linalg.norm(array, axis=1) > 1e-3):
+            same = np.sum(array * forward, axis=1)
+            forward = array * np.where(np.median(np.sign(same)) < 0, -1.0, 1.0)
+    length = np.linalg.norm(forward, axis=1, keepdims=True)
+    forward = np.divide(forward, length, out=np.tile([1.0, 0.0], (len(forward), 1)), where=length > 0)
+    zero = np.zeros(len(forward))
+    return {
+        "surge": np.stack([forward[:, 0], forward[:, 1], zero], axis=1),
+        "sway": np.stack([-forward[:, 1], forward[:, 0], zero], axis=1),
+        "heave": np.stack([zero, zero, zero + 1], axis=1),
+    }
+
+
+def wave_numbers(echoes: Echoes) -> FloatArray:
+    """(ping,) phase of an echo per metre of slant range, 4 pi fc/c, rad/m."""
+    return 4 * np.pi * echoes.fc / echoes.speeds
+
+
+def looks(middle: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(ping, 3) unit vectors from phase centres to a point, and (ping,) their distances, m."""
+    way = point - middle
+    distance = np.linalg.norm(way, axis=1)
+    return way / distance[:, None], distance
+
+
+def read(echoes: Echoes, points: FloatArray, pings: Int, tol: float, threads: int | None) -> ComplexArray:
+    """(row, n) contributions of one ping a row, all channels together, to its (row, n, 3) points."""
+    count = echoes.n_channel
+    traces = np.stack([pings * count, pings * count + count - 1], axis=1).astype(np.int64)
+    out = np.empty(points.shape[:2], dtype=echoes.dtype)
+    step = max(1, int(BATCH / (24 * points.shape[1])))
+    for start in range(0, len(points), step):
+        some = slice(start, start + step)
+        out[some] = contributions(echoes, points[some], traces[some], tol=tol, threads=threads)
+    return out
+
+
+def within_records(echoes: Echoes, point: FloatArray) -> Int:
+    """Pings whose records hold a point's travel time."""
+    _, distance = looks(centres(echoes), point)
+    windows = echoes.windows
+    first, last = windows[..., 0].min(axis=1), windows[..., 1].max(axis=1)
+    place = (2 * distance / echoes.speeds - echoes.start_time) * echoes.fs
+    return np.flatnonzero((place >= first) & (place <= last))
+
+
+@np.errstate(under="ignore")
+def detect(image: ComplexArray, grid: Grid, apart: float) -> Detection:
+    """Bright isolated maxima of an image.
+
+    Clutter is taken for developed speckle, whose power is exponential about a mean that medians over tiles of TILE x TILE
+    pixels tell. The largest of n independent pixels exceeds mean (ln n + ln 1/p) with a chance p: FALSE_ALARM. Bright points
+    exceed that, are the largest within `apart` of them, and lie at most 18 dB below the brightest. Where there are more than
+    MOST, those that are farther apart are taken first.
+    """
+    magnitude = np.abs(image).astype(np.float64)
+    power = magnitude**2
+    lit = power > 0
+    count = int(np.count_nonzero(lit))
+    threshold = np.log(max(count, 1)) + np.log(1 / FALSE_ALARM)
+    if count == 0:
+        return Detection(np.zeros((0, 3)), 0.0, -np.inf, 10 * np.log10(threshold))
+    total = float(power.sum())
+    contrast = float(count * np.sum((power / total) ** 2))
+    ratio = power / _clutter(power, lit)
+    highest = float(10 * np.log10(np.max(np.where(lit, ratio, 0.0), initial=1e-300)))
+    bright = np.flatnonzero(((ratio > threshold) & (magnitude >= DEEPEST * magnitude.max())).ravel())
+    if bright.size == 0:
+        return Detection(np.zeros((0, 3)), contrast, highest, 10 * float(np.log10(threshold)))
+    bright = bright[np.argsort(-power.ravel()[bright], kind="stable")]
+    places = grid.coordinates(bright)
+    chosen = spread(places, apart)
+    return Detection(places[chosen], contrast, highest, 10 * float(np.log10(threshold)))
+
+
+def spread(places: FloatArray, apart: float) -> list[int]:
+    """Which of (n, 3) places in order of their worth are kept, `apart` from each other; first those that are farther apart."""
+    chosen: list[int] = []
+    peaks: list[int] = []
+    left = np.ones(len(places), dtype=bool)
+    while left.any():  # of each neighbourhood the brightest
+        one = int(np.argmax(left))
+        peaks.append(one)
+        left &= np.linalg.norm(places - places[one], axis=1) > apart
+    for distance in (4 * apart, 2 * apart, apart):
+        for one in peaks:
+            if len(chosen) == MOST:
+                return chosen
+            near = np.linalg.norm(places[chosen] - places[one], axis=1) if chosen else np.array([np.inf])
+            if one not in chosen and near.min() > distance * (1 - 1e-12):
+                chosen.append(one)
+    return chosen
+
+
+def _clutter(power: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
+    """Mean power of the clutter about each pixel, from medians (ln 2 of an exponential's mean)."""
+    overall = float(np.median(power[lit]))
+    if power.ndim != 2 or min(power.shape) < 2 * TILE:
+        return np.full(power.shape, overall / np.log(2))
+    counts = [max(1, round(n / TILE)) for n in power.shape]
+    edges = [np.linspace(0, n, k + 1).astype(int) for n, k in zip(power.shape, counts, strict=True)]
+    level = np.full(counts, overall)
+    for i, j in np.ndindex(*counts):
+        tile = (slice(edges[0][i], edges[0][i + 1]), slice(edges[1][j], edges[1][j + 1]))
+        inside = power[tile][lit[tile]]
+        if inside.size > TILE:
+            level[i, j] = np.median(inside)
+    at = [(np.arange(n) + 0.5) * k / n - 0.5 for n, k in zip(power.shape, counts, strict=True)]
+    smooth = scipy.ndimage.map_coordinates(level, np.meshgrid(*at, indexing="ij"), order=1, mode="nearest")
+    return np.asarray(np.maximum(smooth, 1e-300) / np.log(2))
+
+
+def steps_of(echoes: Echoes, point: FloatArray, pings: Int, energy: FloatArray) -> FloatArray:
+    """(2, 3) steps between a patch's pixels: across and along the mean horizontal line of sight."""
+    look, _ = looks(centres(echoes)[pings], point)
+    mean = (energy[:, None] * look).sum(axis=0)[:2]
+    if np.linalg.norm(mean) < 0.1 * energy.sum():  # seen from all round
+        mean = look[0, :2]
+    along = np.array([*(mean / max(np.linalg.norm(mean), 1e-300)), 0.0])
+    across = np.array([-along[1], along[0], 0.0])
+    k = wave_numbers(echoes)[pings]
+    edges = 1 + np.array([-0.5, 0.5]) * echoes.occupied_bandwidth / echoes.fc
+    steps = []
+    for axis in (across, along):
+        numbers = (k * (look @ axis))[:, None] * edges
+        extent = max(float(np.ptp(numbers)), 1e-9)
+        steps.append(axis * 2 * np.pi / extent / MARGIN)
+    return np.array(steps)
+
+
+def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) -> list[Patch | None]:
+    """A patch about each of (n, 3) points, its terms read; None for those that fewer than two pings see."""
+    middle = centres(echoes)
+    rows = [within_records(echoes, point) for point in points]
+    every = np.concatenate([np.broadcast_to(point, (len(row), 1, 3)) for point, row in zip(points, rows, strict=True)])
+    first = read(echoes, every, np.concatenate(rows), tol, threads)[:, 0]
+    offsets = np.arange(PIXELS) - PIXELS // 2.0
+    patches: list[Patch | None] = []
+    ends = np.cumsum([len(row) for row in rows])
+    for point, row, end in zip(points, rows, ends, strict=True):
+        energy = np.abs(first[end - len(row) : end]).astype(np.float64) ** 2
+        energy = scipy.ndimage.uniform_filter1d(energy, max(min(5, energy.size), 1), mode="nearest")
+        seen = (energy > FAINT * np.max(energy, initial=0.0)) & (energy > 0)
+        if np.count_nonzero(seen) < 2:
+            patches.append(None)
+            continue
+        pings = row[seen]
+        steps = steps_of(echoes, point, pings, energy[seen])
+        flat = point + (offsets[:, None, None] * steps[0] + offsets[:, None] * steps[1]).reshape(-1, 3)
+        terms = read(echoes, np.broadcast_to(flat, (pings.size, *flat.shape)), pings, tol, threads)
+        look, distance = looks(middle[pings], point)
+        turns = np.stack([(step - look * (look @ step)[:, None]) / distance[:, None] for step in steps])
+        patches.append(Patch(point, steps, offsets, pings, terms.reshape(-1, PIXELS, PIXELS), look, turns))
+    return patches
+
+
+def centred(echoes: Echoes, points: FloatArray, tol: float, threads: int | None, passes: int = 3) -> list[Patch | None]:
+    """A patch for each point whose brightest pixel is near its centre; None where the peak drifts on after `passes`."""
+    places = np.array(points)
+    kept: list[Patch | None] = [None] * len(places)
+    left = list(range(len(places)))
+    for _ in range(passes):
+        if not left:
+            break
+        again = []
+        for number, patch in zip(left, made(echoes, places[left], tol, threads), strict=True):
+            if patch is None:
+                continue
+            place, far = patch.brightest()
+            if far <= CENTRED:
+                kept[number] = patch
+            else:
+                places[number] = place
+                again.append(number)
+        left = again
+    return kept
+
+
+def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
+    """Bright points of the grid's image with the track as it is."""
+    image = focus(echoes, grid, tol=tol, threads=threads)
+    return detect(np.asarray(image.data), grid, apart=separation(echoes))
+
+
+def separation(echoes: Echoes) -> float:
+    """How far apart bright points are to be, m: twenty resolution cells of range."""
+    return 20 * echoes.mean_speed / (2 * echoes.occupied_bandwidth)
+
+
