@@ -26,7 +26,7 @@ from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.motion import patches as _patches
 from pysas.motion.moving import VELOCITIES, centres, moved
-from pysas.motion.patches import Patch, axes_of, wave_numbers
+from pysas.motion.patches import CENTRED, Patch, axes_of, wave_numbers
 from pysas.motion.results import Report
 
 METRICS = ("entropy", "sharpness")
@@ -274,11 +274,15 @@ def autofocus(
 
 
 def _peak(patch: Patch, delta: FloatArray, k: FloatArray) -> FloatArray:
+    """Where a patch is to be once its pings are moved by delta: about the brightest pixel, if that is no longer near its centre.
+    Pixels keep their places beside the peak as long as they may: entropies of two samplings of one peak differ."""
     first, second = (np.exp(-1j * (k * np.sum(turn * delta, axis=1))[:, None] * patch.offsets) for turn in patch.turns)
     first = first * np.exp(-1j * k * np.sum(patch.look * delta, axis=1))[:, None]
     image = np.abs(np.einsum("pxy,px,py->xy", patch.terms, first, second, optimize=True))
-    i, j = np.unravel_index(int(np.argmax(image)), image.shape)
-    return patch.centre + np.array([patch.offsets[i], patch.offsets[j]]) @ patch.steps
+    at = patch.offsets[list(np.unravel_index(int(np.argmax(image)), image.shape))]
+    if np.max(np.abs(at)) <= CENTRED * patch.offsets[-1]:
+        return patch.centre
+    return patch.centre + at @ patch.steps
 
 
 def _why(detection: Any, kept: Sequence[Patch], taken: bool, metric: str) -> str:
