@@ -25,30 +25,17 @@ from pysas._checks import FloatArray
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.motion import patches as _patches
-from pysas.motion.moving import VELOCITIES, centres, moved
-from pysas.motion.patches import CENTRED, Patch, axes_of, wave_numbers
+from pysas.motion.moving import centres, moved
+from pysas.motion.patches import CENTRED, Patch, axes_of, cost_of, costs, moved_place, shifts, wave_numbers, without_gauge
 from pysas.motion.results import Report
 
-METRICS = ("entropy", "sharpness")
 COMPONENTS = ("surge", "sway", "heave")
 ORDER = 3  # cubic
-LEAST_PINGS = 8
+FIRST_HARMONICS = (4, 8, 16, 32)  # before the highest asked for
 PASSES = 3  # over one set of knots
 STEPS = 60  # of the minimiser
 PRIOR = 1 / 500  # weight of the prior beside costs of order one: about one over a point's energy beside its image's noise
 STILL = 1e-3  # wavelengths: a step that moves no ping farther ends a set of knots
-
-
-def cost_of(power: FloatArray, metric: str) -> tuple[float, FloatArray]:
-    """Cost of an image of this |I|^2, and its derivative by |I|^2."""
-    total = float(power.sum())
-    if metric == "entropy":
-        share = power / total
-        logarithm = np.log(np.where(share > 0, share, 1.0))
-        entropy = -float(np.sum(share * logarithm))
-        return entropy, -(logarithm + entropy) / total
-    fourth = float(np.sum(power**2))
-    return -float(np.log(fourth / total**2)), -(2 * power / fourth - 2 / total)
 
 
 def patch_cost(patch: Patch, delta: FloatArray, k: FloatArray, metric: str) -> tuple[float, FloatArray]:
@@ -70,11 +57,6 @@ def patch_cost(patch: Patch, delta: FloatArray, k: FloatArray, metric: str) -> t
     return value, np.asarray(gradient)
 
 
-def costs(patches: Sequence[Patch], metric: str) -> FloatArray:
-    """(patch,) costs of patches as they are."""
-    return np.array([cost_of(np.abs(patch.image()).astype(np.float64) ** 2, metric)[0] for patch in patches])
-
-
 class _Basis:
     """Smooth corrections of a track: coefficients to (ping, 3) shifts, several components side by side."""
 
@@ -88,7 +70,7 @@ class _Basis:
         return np.stack([self.functions @ part for part in theta.reshape(len(self.directions), self.count)])
 
     def shift(self, series: FloatArray) -> FloatArray:
-        return np.asarray(sum(row[:, None] * way for row, way in zip(series, self.directions, strict=True)))
+        return shifts(series, self.directions)
 
     def back(self, pull: FloatArray) -> FloatArray:
         """Derivatives by coefficients, of those by (component, ping) displacements."""
@@ -177,22 +159,6 @@ def minimised(
     return basis.series(best.x * scale), int(best.nfev)
 
 
-def without_gauge(series: FloatArray, arc: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(component, ping) displacements without their means and slopes along the track, and these (component, 2)."""
-    design = np.stack([np.ones(arc.size), arc - arc.mean()], axis=1)
-    found, *_ = np.linalg.lstsq(design, series.T, rcond=None)
-    return np.asarray(series - (design @ found).T), np.asarray(found.T)
-
-
-def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArray:
-    """Where a point at `place` appears once its pings are shifted by (n, 3), m, on top: horizontally, by least squares of slant
-    ranges."""
-    wanted = np.sum(patch.look * shift, axis=1)
-    design = np.column_stack([patch.look[:, :2], np.ones(len(wanted))])
-    found, *_ = np.linalg.lstsq(design, wanted, rcond=1e-9)
-    return place + np.array([found[0], found[1], 0.0])
-
-
 @_checks.usual_errors
 def autofocus(
     echoes: Echoes,
@@ -208,12 +174,11 @@ def autofocus(
 ) -> tuple[Echoes, Report]:
     """XX"""
     began = time.perf_counter()
-    levels = _validated(echoes, grid, metric, components, knots, harmonics, velocity)
-    names = tuple(components)
+    names = _patches.require(echoes, grid, components, COMPONENTS, velocity, metric)
+    levels = _levels(echoes, knots, harmonics)
     ways = axes_of(echoes)
     directions = [ways[name] for name in names]
     middle = centres(echoes)
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
     k = wave_numbers(echoes)
     bound = _prior_of(prior, echoes, names)
     wavelength = echoes.mean_speed / echoes.fc
@@ -234,7 +199,7 @@ def autofocus(
             total = series + step
             removed = np.zeros_like(gauge)
             if harmonics is None:
-                total, removed = without_gauge(total, arc)
+                total, removed = without_gauge(total, directions, middle)
             largest = float(np.max(np.linalg.norm(basis.shift(total - series), axis=1)))
             said = f"{label}: {1e3 * largest:.3g} mm at most"
             if largest > cell:
@@ -262,7 +227,7 @@ def autofocus(
             series, track, kept, now, taken, gauge = total, candidate, there, after, True, gauge + removed
             if largest < STILL * wavelength:
                 break
-    shift = np.asarray(sum(row[:, None] * way for row, way in zip(series, directions, strict=True)))
+    shift = shifts(series, directions)
     seen = np.unique(np.concatenate([patch.pings for patch in kept])).size / echoes.n_ping if kept else 0.0
     report = Report(
         "autofocus", metric, bool(kept), taken, _why(detection, kept, taken, metric), np.array([before, now]),
@@ -296,15 +261,14 @@ def _why(detection: Any, kept: Sequence[Patch], taken: bool, metric: str) -> str
     return f"{metric} fell in all {len(kept)} patches" if taken else "no step lowers the cost of every patch"
 
 
-def _validated(
-    echoes: Any, grid: Any, metric: Any, components: Any, knots: Any, harmonics: Any, velocity: Any
-) -> list[tuple[Any, str]]:
-    levels: list[tuple[Any, str]] = []
-    if harmonics is None:
-        for count in knots:
-            levels.append((_splines(echoes.n_ping, count), f"{count} knots"))
-    else:
+def _levels(echoes: Echoes, knots: Any, harmonics: Any) -> list[tuple[Any, str]]:
+    """Functions of the ping, coarse to fine, and what they are called."""
+    if harmonics is not None:
+        highest = _checks.whole("harmonics", harmonics, low=2, high=echoes.n_ping // 2)
         angle = angles(centres(echoes))
-        for highest in [n for n in (4, 8, 16, 32) if n < harmonics] + [harmonics]:
-            levels.append((_waves(angle, highest), f"harmonics 2 to {highest}"))
-    return levels
+        orders = [n for n in FIRST_HARMONICS if n < highest] + [highest]
+        return [(_waves(angle, n), f"harmonics 2 to {n}") for n in orders]
+    if isinstance(knots, str) or not isinstance(knots, Sequence) or not knots:
+        raise TypeError(f"knots={knots!r}: expected a sequence of numbers of splines")
+    counts = [_checks.whole("knots", count, low=ORDER + 1, high=echoes.n_ping) for count in knots]
+    return [(_splines(echoes.n_ping, count), f"{count} knots") for count in counts]

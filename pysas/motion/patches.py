@@ -7,18 +7,21 @@ the sum of each ping that sees it, so that phases of pings can be tried without 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy.ndimage
 
+from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.imaging.contributions import contributions
 from pysas.imaging.doorways import focus
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
-from pysas.motion.moving import centres
+from pysas.motion.moving import VELOCITIES, centres
 
 PIXELS = 41  # of a patch along each axis: some 13 resolution cells to either side
 MARGIN = 1.3  # spacing of a patch's pixels below Nyquist's
@@ -29,6 +32,9 @@ TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-2  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 BATCH = 100e6  # bytes of points in one call
+
+METRICS = ("entropy", "sharpness")
+LEAST_PINGS = 8
 
 Int = npt.NDArray[np.int64]
 
@@ -284,6 +290,78 @@ def centred(echoes: Echoes, points: FloatArray, tol: float, threads: int | None,
                 again.append(number)
         left = again
     return kept
+
+
+def cost_of(power: FloatArray, metric: str) -> tuple[float, FloatArray]:
+    """Cost of an image of this |I|^2, and its derivative by |I|^2."""
+    total = float(power.sum())
+    if metric == "entropy":
+        share = power / total
+        logarithm = np.log(np.where(share > 0, share, 1.0))
+        entropy = -float(np.sum(share * logarithm))
+        return entropy, -(logarithm + entropy) / total
+    fourth = float(np.sum(power**2))
+    return -float(np.log(fourth / total**2)), -(2 * power / fourth - 2 / total)
+
+
+def costs(patches: Sequence[Patch], metric: str) -> FloatArray:
+    """(patch,) costs of patches as they are."""
+    return np.array([cost_of(np.abs(patch.image()).astype(np.float64) ** 2, metric)[0] for patch in patches])
+
+
+def without_gauge(series: FloatArray, directions: Sequence[FloatArray], middle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(component, ping) displacements without what no image tells, and that, (component, 2): of a line each one's mean, m, and
+    slope, m/m; of a track that turns by more than a radian what of each a shift of everything along x and y does, m."""
+    way = np.diff(middle, axis=0)
+    turned = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    found, kept = [], []
+    for row, direction in zip(series, directions, strict=True):
+        if np.ptp(turned) > 1:
+            design = direction[:, :2]
+        else:
+            arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(way, axis=1))])
+            design = np.stack([np.ones(arc.size), arc - arc.mean()], axis=1)
+        part, *_ = np.linalg.lstsq(design, row, rcond=1e-9)
+        kept.append(row - design @ part)
+        found.append(part)
+    return np.array(kept), np.array(found)
+
+
+def shifts(series: FloatArray, directions: Sequence[FloatArray]) -> FloatArray:
+    """(ping, 3) of (component, ping) displacements along (ping, 3) directions each."""
+    return np.asarray(sum(row[:, None] * way for row, way in zip(series, directions, strict=True)))
+
+
+def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArray:
+    """Where a point at `place` appears once its pings are shifted by (n, 3), m, on top: horizontally, by least squares of slant
+    ranges."""
+    wanted = np.sum(patch.look * shift, axis=1)
+    design = np.column_stack([patch.look[:, :2], np.ones(len(wanted))])
+    found, *_ = np.linalg.lstsq(design, wanted, rcond=1e-9)
+    return place + np.array([found[0], found[1], 0.0])
+
+
+def require(echoes: Any, grid: Any, components: Any, known: Sequence[str], velocity: Any, metric: Any = "entropy") -> tuple[str, ...]:
+    """Check what both methods are given; returns the components."""
+    if not isinstance(echoes, Echoes):
+        raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
+    if not echoes.compressed:
+        raise ValueError("echoes: raw: expected range-compressed echoes: pysas.compress(echoes)")
+    if not isinstance(grid, Grid):
+        raise TypeError(f"grid={type(grid).__name__}: expected a pysas.Grid")
+    if isinstance(components, str) or not isinstance(components, Sequence) or not components:
+        raise TypeError(f"components={components!r}: expected a sequence of some of {', '.join(known)}")
+    names = tuple(_checks.choice("components", name, known) for name in components)
+    if len(set(names)) < len(names):
+        raise ValueError(f"components={components!r}: expected each of them once")
+    _checks.choice("velocity", velocity, VELOCITIES)
+    _checks.choice("metric", metric, METRICS)
+    if echoes.n_ping < LEAST_PINGS:
+        raise ValueError(f"echoes: {echoes.n_ping} pings: expected at least {LEAST_PINGS} to find a track by")
+    way = np.linalg.norm(np.diff(centres(echoes), axis=0), axis=1)
+    if not way.any():
+        raise ValueError("echoes: all pings are at one place: expected a track that moves")
+    return names
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
