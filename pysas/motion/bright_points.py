@@ -7,117 +7,321 @@ without a limit of half a wavelength: its envelope says which turn of phase is m
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
+import scipy.ndimage
 import scipy.sparse
 import scipy.sparse.linalg
 
+from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
+from pysas.imaging.contributions import contributions
 from pysas.model.echoes import Echoes
+from pysas.model.grid import Grid
 from pysas.motion import patches as _patches
-from pysas.motion.moving import centres
-from pysas.motion.patches import Int, looks, wave_numbers
+from pysas.motion.moving import centres, moved
+from pysas.motion.patches import Int, Patch, looks, moved_place, shifts, wave_numbers, without_gauge
+from pysas.motion.results import Report
 
 REACH = 0.35  # m of slant range to either side of a point, or eight cells where these are larger
 FINER = 16  # of the correlation's envelope
 CAUCHY = 4.0  # standard deviations
-REWEIGHTED = 5  # times
-TIKHONOV = {"surge": 3e-3, "sway": 1e-3, "heave": 3e-3, "yaw": 1e-3}  # beside rows of weight 1, per m (yaw: per m at the array's ends)
+LEAST_SIGMA = 1e-6  # m
+REWEIGHTED = 6  # times
+WINDOWS = (0.0, 1.0, 2.0, 4.0, 8.0)  # pings: standard deviations of what smooths slices along pings, of which the best is kept
+NARROW = 3.0  # cells: half of what a slice holds once a first solution has brought the points near their places
+SAME = 8.0  # cells: points nearer to each other than this are one
+COMPONENTS = ("surge", "sway", "heave", "yaw")
+LEAST_TIE = 1e-3  # of unknowns to 0, m per m, beside rows of weight 1; three times as much of surge and heave
 
 
+@dataclass(frozen=True)
 class Slices:
-    """Range slices of one point in the pings that see it, in base-band: (ping, lag)."""
+    """Range slices (ping, lag) of one point in the pings that see it, in base-band, and its channels at the point itself."""
 
-    def __init__(self, point: FloatArray, pings: Int, data: ComplexArray, lags: FloatArray, look: FloatArray) -> None:
-        self.point, self.pings, self.data, self.lags, self.look = point, pings, data, lags, look
+    point: FloatArray
+    pings: Int
+    data: ComplexArray
+    lags: FloatArray
+    look: FloatArray
+    distance: FloatArray
+    channels: ComplexArray | None
 
 
-def sliced(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) -> list[Slices]:
-    """Slices of all points: read at points along each ping's line of sight, where travel times are exact, carrier taken out."""
+@dataclass(frozen=True)
+class Unknowns:
+    """What is sought: of each ping its displacements along `ways` (ping, 3), and its turn where `turns` is; then of each point
+    its errors along x and y. `sway` (ping, 3) is what a turn moves the array's ends along."""
+
+    ways: list[FloatArray]
+    turns: bool
+    sway: FloatArray
+    offsets: FloatArray  # (ping, channel) of phase centres ahead of their mean, m
+
+    @property
+    def each(self) -> int:
+        return len(self.ways) + self.turns
+
+    def of_point(self, number: int, axis: int) -> int:
+        return len(self.sway) * self.each + 2 * number + axis
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one kind and point in the least squares: entries (column, value) of each, what they are to give, their weights."""
+
+    entries: list[tuple[Int, FloatArray]]
+    wanted: FloatArray
+    weight: FloatArray
+
+
+def cell_of(echoes: Echoes) -> float:
+    """Resolution cell of slant range, m."""
+    return echoes.mean_speed / (2 * echoes.occupied_bandwidth)
+
+
+def sliced(echoes: Echoes, points: FloatArray, channels: bool, tol: float, threads: int | None) -> list[Slices]:
+    """Slices of all points: read along each ping's line of sight, where travel times are exact, and the carrier taken out."""
     middle = centres(echoes)
-    cell = echoes.mean_speed / (2 * echoes.occupied_bandwidth)
+    cell = cell_of(echoes)
     step = cell / 1.5
     half = int(np.ceil(max(REACH, 8 * cell) / step))
     lags = np.arange(-half, half + 1) * step
     k = wave_numbers(echoes)
-    rows, places = [], []
-    for point in points:
-        pings = _patches.within_records(echoes, point)
-        look, _ = looks(middle[pings], point)
-        rows.append((point, pings, look))
-        places.append(point + lags[:, None] * look[:, None, :])
-    data = _patches.read(echoes, np.concatenate(places), np.concatenate([pings for _, pings, _ in rows]), tol, threads)
+    pings = [_patches.within_records(echoes, point) for point in points]
+    sights = [looks(middle[some], point) for point, some in zip(points, pings, strict=True)]
+    every, ways = np.concatenate(pings), np.concatenate([look for look, _ in sights])
+    places = np.repeat(points, [len(some) for some in pings], axis=0)
+    data = _patches.read(echoes, places + lags[0] * ways, step * ways, len(lags), every, tol, threads)
+    data *= np.exp(-1j * k[every, None] * lags).astype(data.dtype)
+    single: ComplexArray | None = None
+    if channels:
+        count = echoes.n_channel
+        trace = (every[:, None] * count + np.arange(count)).reshape(-1, 1).astype(np.int64)
+        rows = np.repeat(places, count, axis=0)[:, None]
+        single = contributions(echoes, rows, np.concatenate([trace, trace], axis=1), tol=tol, threads=threads)
+        single = single.reshape(-1, count)
     found, start = [], 0
-    for point, pings, look in rows:
-        some = data[start : start + len(pings)] * np.exp(-1j * k[pings, None] * lags)
-        start += len(pings)
-        found.append(Slices(point, pings, some, lags, look))
+    for point, some, (look, distance) in zip(points, pings, sights, strict=True):
+        part = slice(start, start + len(some))
+        start += len(some)
+        found.append(Slices(point, some, data[part], lags, look, distance, None if single is None else single[part]))
     return found
 
 
-def windowed(data: ComplexArray, width: float) -> ComplexArray:
-    """Slices smoothed along pings by a Gaussian of so many pings' standard deviation: what turns from ping to ping goes."""
-    import scipy.ndimage
-
-    return scipy.ndimage.gaussian_filter1d(data, width, axis=0, mode="nearest")
-
-
 def delays(first: ComplexArray, second: ComplexArray, step: float, k: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How much farther a point is in each row of `second`, m, and the coherence of the two rows."""
+    """How much farther (m) a point is in each row of `second` than in that of `first`, and the rows' coherence.
+
+    The correlation is interpolated in base-band, where its envelope has no carrier that could alias; the envelope's peak is
+    right to a fraction of FINER steps, and the carrier's phase there says the rest.
+    """
     n = first.shape[1]
     size = 2 * n
     spectrum = np.fft.fft(second, size) * np.fft.fft(first, size).conj()
-    padded = np.zeros((len(first), size * FINER), dtype=complex)
-    padded[:, : size // 2], padded[:, -(size // 2) :] = spectrum[:, : size // 2], spectrum[:, size // 2 :]
+    padded = np.zeros((len(first), size * FINER), dtype=spectrum.dtype)
+    padded[:, :n], padded[:, -n:] = spectrum[:, :n], spectrum[:, n:]
     correlation = np.fft.ifft(padded) * FINER
     best = np.argmax(np.abs(correlation), axis=1)
-    row = np.arange(len(first))
-    size *= FINER
-    left, top, right = (np.abs(correlation[row, (best + shift) % size]) for shift in (-1, 0, 1))
-    bend = 2 * top - left - right
-    fraction = np.where(bend > 0, (right - left) / 2 / np.where(bend > 0, bend, 1), 0)
-    lag = np.where(best >= size // 2, best - size, best)
-    at = correlation[row, best]
+    at = correlation[np.arange(len(first)), best]
+    metres = step / FINER * np.where(best >= n * FINER, best - size * FINER, best)
     energy = np.sqrt(np.sum(np.abs(first) ** 2, axis=1) * np.sum(np.abs(second) ** 2, axis=1))
-    metres = step / FINER * lag
-    del fraction
     return metres - np.angle(at * np.exp(1j * k * metres)) / k, np.abs(at) / np.maximum(energy, 1e-300)
 
 
-def solved(
-    rows: list[tuple[Int, FloatArray, FloatArray, FloatArray, FloatArray]],
-    directions: list[FloatArray],
-    ties: list[float],
-    n_ping: int,
-) -> tuple[FloatArray, FloatArray, float]:
-    """(component, ping) displacements, (point, 2) errors of places and the rows' standard deviation, m.
+def pair_rows(one: Slices, number: int, k: FloatArray, unknowns: Unknowns, width: float, reach: float) -> Rows:
+    """Rows of a point's consecutive pings: e_q - e_p, with slices smoothed along pings (what turns from ping to ping goes, as
+    clutter beside the point does) and cut to `reach`."""
+    data = one.data * (np.abs(one.lags) <= reach)
+    if width > 0:
+        data = scipy.ndimage.gaussian_filter1d(data, width, axis=0, mode="nearest")
+    early = np.flatnonzero(np.diff(one.pings) == 1)
+    p = one.pings[early]
+    farther, coherence = delays(data[early], data[early + 1], one.lags[1] - one.lags[0], k[p])
+    peak = np.max(np.abs(data), axis=1)
+    before, after = one.look[early], one.look[early + 1]
+    entries = []
+    for c, way in enumerate(unknowns.ways):
+        entries.append(((p + 1) * unknowns.each + c, -np.sum(after * way[p + 1], axis=1)))
+        entries.append((p * unknowns.each + c, np.sum(before * way[p], axis=1)))
+    for axis in range(2):
+        entries.append((np.full(len(p), unknowns.of_point(number, axis)), (after - before)[:, axis]))
+    return Rows(entries, farther, coherence**2 * _relative(peak[early] * peak[early + 1]))
 
-    rows: of each point its pings q (the earlier of each pair is q - 1), what is farther, weights, looks of q and of q - 1.
-    """
-    count = len(directions)
-    entries: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    wanted, weights, start = [], [], 0
-    for number, (late, farther, weight, look, before) in enumerate(rows):
-        at = start + np.arange(len(late))
-        for c, way in enumerate(directions):
-            entries.append((at, late * count + c, -np.sum(look * way[late], axis=1)))
-            entries.append((at, (late - 1) * count + c, np.sum(before * way[late - 1], axis=1)))
-        for c in range(2):
-            entries.append((at, np.full(len(at), n_ping * count + 2 * number + c), (look - before)[:, c]))
-        wanted.append(farther)
-        weights.append(weight)
-        start += len(late)
-    unknowns = n_ping * count + 2 * len(rows)
-    row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
-    design = scipy.sparse.csr_array((value, (row, column)), shape=(start, unknowns))
-    target, weight = np.concatenate(wanted), np.concatenate(weights)
-    tie = np.concatenate([np.tile(ties, n_ping), np.full(2 * len(rows), min(ties))])
-    robust = np.ones_like(weight)
+
+def slope_rows(one: Slices, number: int, k: FloatArray, unknowns: Unknowns) -> Rows:
+    """Rows of the slope of a point's phase along the array: a turn of the array, or a place off along the track."""
+    if one.channels is None:
+        raise _checks.InternalError("channels: not read")
+    p = one.pings
+    offsets = unknowns.offsets[p]
+    order = np.argsort(offsets.mean(axis=0))
+    channels, offsets = one.channels[:, order], offsets[:, order]
+    product = np.sum(channels[:, 1:] * channels[:, :-1].conj(), axis=1)
+    spacing = (offsets[:, -1] - offsets[:, 0]) / (offsets.shape[1] - 1)
+    arm = np.sqrt(np.mean(offsets**2, axis=1))
+    slope = -np.angle(product) / (k[p] * spacing)
+    sway = unknowns.sway[p]
+    forward = np.stack([sway[:, 1], -sway[:, 0], sway[:, 2]], axis=1)
+    turned = -(forward - one.look * np.sum(one.look * forward, axis=1)[:, None]) / one.distance[:, None]
+    entries = [(p * unknowns.each + len(unknowns.ways), -arm * np.sum(one.look * sway, axis=1))]
+    for axis in range(2):
+        entries.append((np.full(len(p), unknowns.of_point(number, axis)), arm * turned[:, axis]))
+    return Rows(entries, arm * slope, _relative(np.abs(product)))
+
+
+def _relative(strength: FloatArray) -> FloatArray:
+    return np.asarray(strength / max(float(np.max(strength, initial=0.0)), 1e-300))
+
+
+def solved(rows: Sequence[Rows], unknowns: int, ties: FloatArray) -> tuple[FloatArray, float]:
+    """Least squares of rows with Cauchy's weights, each kind's residuals having a standard deviation of their own, and the
+    unknowns tied to 0; returns the solution and the median of the standard deviations, m."""
+    row, column, value, group = [], [], [], []
+    start = 0
+    for number, one in enumerate(rows):
+        for index, part in one.entries:
+            row.append(start + np.arange(len(index)))
+            column.append(index)
+            value.append(part)
+        group.append(np.full(len(one.wanted), number))
+        start += len(one.wanted)
+    where = (np.concatenate(row), np.concatenate(column))
+    design = scipy.sparse.csr_array((np.concatenate(value), where), shape=(start, unknowns))
+    wanted, weight, kind = (
+        np.concatenate(part) for part in ([r.wanted for r in rows], [r.weight for r in rows], group)
+    )
+    robust, sigma = np.ones_like(weight), np.ones(len(rows))
     for _ in range(REWEIGHTED):
-        scale = scipy.sparse.diags_array(weight * robust)
-        normal = (design.T @ (scale @ design) + scipy.sparse.diags_array(tie**2)).tocsc()
-        solution = scipy.sparse.linalg.spsolve(normal, design.T @ (weight * robust * target))
-        rest = (design @ solution - target) * np.sqrt(weight)
-        sigma = max(1.4826 * float(np.median(np.abs(rest))), 1e-9)
-        robust = 1 / (1 + (rest / (CAUCHY * sigma)) ** 2)
-    series = solution[: n_ping * count].reshape(n_ping, count).T
-    return np.asarray(series), np.asarray(solution[n_ping * count :].reshape(-1, 2)), sigma
+        relative = (np.median(sigma) / sigma[kind]) ** 2
+        total = weight * robust * relative
+        normal = design.T @ scipy.sparse.diags_array(total) @ design + scipy.sparse.diags_array(ties**2)
+        solution = np.asarray(scipy.sparse.linalg.spsolve(normal.tocsc(), design.T @ (total * wanted)))
+        rest = (design @ solution - wanted) * np.sqrt(weight)
+        sigma = np.array([1.4826 * np.median(np.abs(rest[kind == n])) if np.any(kind == n) else 1.0 for n in range(len(rows))])
+        sigma = np.maximum(sigma, LEAST_SIGMA)
+        robust = 1 / (1 + (rest / (CAUCHY * sigma[kind])) ** 2)
+    return solution, float(np.median(sigma))
+
+
+@dataclass(frozen=True)
+class _State:
+    """A track that was tried: displacements along the ways and turns, what was taken out of them, and the points' patches;
+    `origin` says which of the first points each goes back to."""
+
+    series: FloatArray
+    turn: FloatArray
+    gauge: FloatArray
+    track: Echoes
+    patches: list[Patch]
+    origin: list[int]
+    cost: FloatArray
+
+
+@_checks.usual_errors
+def align_points(
+    echoes: Echoes,
+    grid: Grid,
+    points: npt.ArrayLike | None = None,
+    components: Sequence[str] = ("sway", "heave"),
+    iterations: int = 3,
+    velocity: str = "follow",
+    tol: float = 1e-2,
+    threads: int | None = None,
+) -> tuple[Echoes, Report]:
+    """XX"""
+    began = time.perf_counter()
+    names = _patches.require(echoes, grid, components, COMPONENTS, velocity)
+    iterations = _checks.whole("iterations", iterations)
+    given = None if points is None else _checks.reals("points", points, [("point", 3)], ("point",))
+    if "yaw" in names and echoes.n_channel < 2:
+        raise ValueError("components: 'yaw' of one receiver: expected an array of several")
+    axes = _patches.axes_of(echoes)
+    spread = (echoes.receivers - echoes.receivers.mean(axis=1, keepdims=True)) / 2
+    offsets = np.einsum("pcx,px->pc", spread, axes["surge"])
+    unknowns = Unknowns([axes[name] for name in names if name != "yaw"], "yaw" in names, axes["sway"], offsets)
+    detection = _patches.found(echoes, grid, tol, threads)
+    start = _patches.centred(echoes, detection.centres if given is None else given, tol, threads)
+    kept = [patch for patch in start if patch is not None]
+    before = _patches.costs(kept, "entropy")
+    nothing = np.zeros((len(unknowns.ways), echoes.n_ping))
+    state = _State(nothing, np.zeros(echoes.n_ping), np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
+    told: list[str] = []
+    solutions = 0
+    for iteration in range(iterations if kept else 0):
+        places = np.array([patch.brightest()[0] for patch in state.patches])
+        slices = sliced(state.track, places, unknowns.turns, tol, threads)
+        reach = NARROW * cell_of(echoes) if iteration else np.inf
+        tried = [_step(echoes, state, slices, unknowns, velocity, w, reach, tol, threads) for w in WINDOWS]
+        solutions += len(tried)
+        width, (sigma, best) = min(zip(WINDOWS, tried, strict=True), key=lambda one: float(one[1][1].cost.mean()))
+        largest = 1e3 * float(np.max(np.linalg.norm(shifts(best.series - state.series, unknowns.ways), axis=1)))
+        said = f"{len(places)} points, window of {width:g} pings: {largest:.3g} mm at most, sigma {1e3 * sigma:.2g} mm"
+        told.append(f"{said}: entropy {state.cost.mean():.4g} to {best.cost.mean():.4g}")
+        if not best.cost.mean() < state.cost.mean():
+            break
+        state = _distinct(echoes, best)
+    gone = len(kept) > 0 and not state.patches
+    worse = [number for number, cost in zip(state.origin, state.cost, strict=True) if not cost < before[number]]
+    taken = bool(kept) and not gone and not worse
+    if not kept:
+        why = _patches.emptiness(detection)
+    elif taken:
+        why = f"entropy fell in all {len(state.patches)} patches"
+    else:
+        why = f"entropy would rise in {len(worse)} of {len(state.patches)} patches" if not gone else "points drifted off"
+    if not taken:
+        state = _State(nothing, np.zeros(echoes.n_ping), np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
+    shift = shifts(state.series, unknowns.ways) if len(nothing) else np.zeros((echoes.n_ping, 3))
+    report = Report(
+        "align_points", "entropy", bool(kept), taken, why, np.array([before[state.origin], state.cost]),
+        np.array([patch.centre for patch in state.patches]).reshape(-1, 3), detection.contrast, shift, state.turn,
+        float(np.max(np.linalg.norm(shift, axis=1))), state.gauge, tuple(name for name in names if name != "yaw"),
+        _patches.share_seen(state.patches, echoes.n_ping), solutions, time.perf_counter() - began, tuple(told),
+    )  # fmt: skip
+    return state.track, report
+
+
+def _step(
+    echoes: Echoes, state: _State, slices: Sequence[Slices], unknowns: Unknowns, velocity: str, width: float, reach: float,
+    tol: float, threads: int | None,
+) -> tuple[float, _State]:  # fmt: skip
+    """Standard deviation of the rows, m, and the track that one solution leads to; a point that is lost costs what it did."""
+    k, n = wave_numbers(echoes), echoes.n_ping
+    rows = [pair_rows(one, number, k, unknowns, width, reach) for number, one in enumerate(slices)]
+    if unknowns.turns:
+        rows += [slope_rows(one, number, k, unknowns) for number, one in enumerate(slices)]
+    ties = [LEAST_TIE if way is unknowns.sway else 3 * LEAST_TIE for way in unknowns.ways] + [LEAST_TIE] * unknowns.turns
+    every = np.concatenate([np.tile(ties, n), np.full(2 * len(slices), LEAST_TIE)])
+    solution, sigma = solved(rows, len(every), every)
+    mine = solution[: n * unknowns.each].reshape(n, unknowns.each).T
+    errors = solution[n * unknowns.each :].reshape(-1, 2)
+    step, turn = mine[: len(unknowns.ways)], state.turn + (mine[-1] if unknowns.turns else 0.0)
+    total, removed = without_gauge(state.series + step, unknowns.ways, centres(echoes))
+    rest = shifts(total - state.series - step, unknowns.ways)
+    expected = []
+    for one, error in zip(slices, errors, strict=True):
+        virtual = Patch(one.point, np.zeros((2, 3)), np.zeros(1), one.pings, one.data, one.look, np.zeros((2, 1, 3)))
+        expected.append(moved_place(virtual, one.point + np.array([*error, 0.0]), rest[one.pings]))
+    track = moved(echoes, shifts(total, unknowns.ways), turn, velocity)
+    again = _patches.centred(track, np.array(expected), tol, threads)
+    cost, patches = state.cost.copy(), list(state.patches)
+    for number, patch in enumerate(again):
+        if patch is not None:
+            patches[number], cost[number] = patch, _patches.costs([patch], "entropy")[0]
+    return sigma, _State(total, turn, state.gauge + removed, track, patches, state.origin, cost)
+
+
+def _distinct(echoes: Echoes, state: _State) -> _State:
+    """Without points that came to lie where a brighter one is."""
+    level = np.array([np.max(np.abs(patch.image())) for patch in state.patches])
+    order = np.argsort(-level, kind="stable")
+    places = np.array([state.patches[i].brightest()[0] for i in order])
+    kept = sorted(int(order[i]) for i in _patches.spread(places, SAME * cell_of(echoes)))
+    return _State(
+        state.series, state.turn, state.gauge, state.track, [state.patches[i] for i in kept],
+        [state.origin[i] for i in kept], state.cost[kept],
+    )  # fmt: skip

@@ -228,11 +228,14 @@ def autofocus(
             if largest < STILL * wavelength:
                 break
     shift = shifts(series, directions)
-    seen = np.unique(np.concatenate([patch.pings for patch in kept])).size / echoes.n_ping if kept else 0.0
+    if not kept:
+        why = _patches.emptiness(detection)
+    else:
+        why = f"{metric} fell in all {len(kept)} patches" if taken else "no step lowers the cost of every patch"
     report = Report(
-        "autofocus", metric, bool(kept), taken, _why(detection, kept, taken, metric), np.array([before, now]),
+        "autofocus", metric, bool(kept), taken, why, np.array([before, now]),
         np.array([patch.centre for patch in kept]).reshape(-1, 3), detection.contrast, shift, np.zeros(echoes.n_ping),
-        float(np.max(np.linalg.norm(shift, axis=1))), gauge, names, seen, looked, time.perf_counter() - began,
+        float(np.max(np.linalg.norm(shift, axis=1))), gauge, names, _patches.share_seen(kept, echoes.n_ping), looked, time.perf_counter() - began,
         tuple(told),
     )  # fmt: skip
     return track, report
@@ -248,17 +251,6 @@ def _peak(patch: Patch, delta: FloatArray, k: FloatArray) -> FloatArray:
     if np.max(np.abs(at)) <= CENTRED * patch.offsets[-1]:
         return patch.centre
     return patch.centre + at @ patch.steps
-
-
-def _why(detection: Any, kept: Sequence[Patch], taken: bool, metric: str) -> str:
-    if not kept:
-        if not np.isfinite(detection.highest):
-            return "nothing found: the image of the grid is empty"
-        return (
-            f"not informative: the brightest pixel is {detection.highest:.3g} dB above the clutter about it, a bright point "
-            f"{detection.threshold:.3g} dB"
-        )
-    return f"{metric} fell in all {len(kept)} patches" if taken else "no step lowers the cost of every patch"
 
 
 def _levels(echoes: Echoes, knots: Any, harmonics: Any) -> list[tuple[Any, str]]:

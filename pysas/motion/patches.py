@@ -17,7 +17,7 @@ import scipy.ndimage
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.imaging.contributions import contributions
+from pysas.imaging.contributions import along_lines
 from pysas.imaging.doorways import focus
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
@@ -31,7 +31,6 @@ DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest on
 TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-2  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
-BATCH = 100e6  # bytes of points in one call
 
 METRICS = ("entropy", "sharpness")
 LEAST_PINGS = 8
@@ -139,16 +138,14 @@ def looks(middle: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray
     return way / distance[:, None], distance
 
 
-def read(echoes: Echoes, points: FloatArray, pings: Int, tol: float, threads: int | None) -> ComplexArray:
-    """(row, n) contributions of one ping a row, all channels together, to its (row, n, 3) points."""
-    count = echoes.n_channel
-    traces = np.stack([pings * count, pings * count + count - 1], axis=1).astype(np.int64)
-    out = np.empty(points.shape[:2], dtype=echoes.dtype)
-    step = max(1, int(BATCH / (24 * points.shape[1])))
-    for start in range(0, len(points), step):
-        some = slice(start, start + step)
-        out[some] = contributions(echoes, points[some], traces[some], tol=tol, threads=threads)
-    return out
+def read(
+    echoes: Echoes, first: FloatArray, step: FloatArray, count: int, pings: Int, tol: float, threads: int | None
+) -> ComplexArray:
+    """(row, count) contributions of one ping a row, all its channels together, at points from `first` (row, 3) on, a `step`
+    (row, 3) apart."""
+    channels = echoes.n_channel
+    traces = np.stack([pings * channels, pings * channels + channels - 1], axis=1).astype(np.int64)
+    return along_lines(echoes, first, step, count, traces, tol=tol, threads=threads)
 
 
 def within_records(echoes: Echoes, point: FloatArray) -> Int:
@@ -248,8 +245,10 @@ def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) ->
     """A patch about each of (n, 3) points, its terms read; None for those that fewer than two pings see."""
     middle = centres(echoes)
     rows = [within_records(echoes, point) for point in points]
-    every = np.concatenate([np.broadcast_to(point, (len(row), 1, 3)) for point, row in zip(points, rows, strict=True)])
-    first = read(echoes, every, np.concatenate(rows), tol, threads)[:, 0]
+    if not any(len(row) for row in rows):
+        return [None] * len(points)
+    every = np.repeat(points, [len(row) for row in rows], axis=0)
+    first = read(echoes, every, np.zeros_like(every), 1, np.concatenate(rows), tol, threads)[:, 0]
     offsets = np.arange(PIXELS) - PIXELS // 2.0
     patches: list[Patch | None] = []
     ends = np.cumsum([len(row) for row in rows])
@@ -262,8 +261,9 @@ def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) ->
             continue
         pings = row[seen]
         steps = steps_of(echoes, point, pings, energy[seen])
-        flat = point + (offsets[:, None, None] * steps[0] + offsets[:, None] * steps[1]).reshape(-1, 3)
-        terms = read(echoes, np.broadcast_to(flat, (pings.size, *flat.shape)), pings, tol, threads)
+        lines = np.tile(point + offsets[0] * steps[1] + offsets[:, None] * steps[0], (pings.size, 1))
+        way = np.broadcast_to(steps[1], lines.shape)
+        terms = read(echoes, lines, way, PIXELS, np.repeat(pings, PIXELS), tol, threads)
         look, distance = looks(middle[pings], point)
         turns = np.stack([(step - look * (look @ step)[:, None]) / distance[:, None] for step in steps])
         patches.append(Patch(point, steps, offsets, pings, terms.reshape(-1, PIXELS, PIXELS), look, turns))
@@ -362,6 +362,21 @@ def require(echoes: Any, grid: Any, components: Any, known: Sequence[str], veloc
     if not way.any():
         raise ValueError("echoes: all pings are at one place: expected a track that moves")
     return names
+
+
+def emptiness(detection: Detection) -> str:
+    """Why there is nothing to go by."""
+    if not np.isfinite(detection.highest):
+        return "nothing found: the image of the grid is empty"
+    return (
+        f"not informative: the brightest pixel is {detection.highest:.3g} dB above the clutter about it, a bright point "
+        f"{detection.threshold:.3g} dB"
+    )
+
+
+def share_seen(patches: Sequence[Patch], n_ping: int) -> float:
+    """Of the pings, that see at least one patch."""
+    return np.unique(np.concatenate([patch.pings for patch in patches])).size / n_ping if patches else 0.0
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
