@@ -7,6 +7,7 @@ without a limit of half a wavelength: its envelope says which turn of phase is m
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ WINDOWS = (0.0, 1.0, 2.0, 4.0, 8.0)  # pings: standard deviations of what smooth
 NARROW = 3.0  # cells: half of what a slice holds once a first solution has brought the points near their places
 SAME = 8.0  # cells: points nearer to each other than this are one
 COMPONENTS = ("surge", "sway", "heave", "yaw")
+METRIC = "sharpness"  # by which tracks are compared: the likeliest one makes points brightest
 LEAST_TIE = 1e-3  # of unknowns to 0, m per m, beside rows of weight 1; three times as much of surge and heave
 
 
@@ -210,7 +212,7 @@ def solved(rows: Sequence[Rows], unknowns: int, ties: FloatArray) -> tuple[Float
 @dataclass(frozen=True)
 class _State:
     """A track that was tried: displacements along the ways and turns, what was taken out of them, and the points' patches;
-    `origin` says which of the first points each goes back to."""
+    `origin` says which of the first points each goes back to, `cost` what all that were tried cost."""
 
     series: FloatArray
     turn: FloatArray
@@ -246,9 +248,11 @@ def align_points(
     detection = _patches.found(echoes, grid, tol, threads)
     start = _patches.centred(echoes, detection.centres if given is None else given, tol, threads)
     kept = [patch for patch in start if patch is not None]
-    before = _patches.costs(kept, "entropy")
+    before = _patches.costs(kept, METRIC)
     nothing = np.zeros((len(unknowns.ways), echoes.n_ping))
-    state = _State(nothing, np.zeros(echoes.n_ping), np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
+    still = np.zeros(echoes.n_ping)
+    claimed = _State(nothing, still, np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
+    state, merged = claimed, set[int]()
     told: list[str] = []
     solutions = 0
     for iteration in range(iterations if kept else 0):
@@ -260,24 +264,25 @@ def align_points(
         width, (sigma, best) = min(zip(WINDOWS, tried, strict=True), key=lambda one: float(one[1][1].cost.mean()))
         largest = 1e3 * float(np.max(np.linalg.norm(shifts(best.series - state.series, unknowns.ways), axis=1)))
         said = f"{len(places)} points, window of {width:g} pings: {largest:.3g} mm at most, sigma {1e3 * sigma:.2g} mm"
-        told.append(f"{said}: entropy {state.cost.mean():.4g} to {best.cost.mean():.4g}")
+        told.append(f"{said}: {METRIC} {state.cost.mean():.4g} to {best.cost.mean():.4g}")
         if not best.cost.mean() < state.cost.mean():
             break
-        state = _distinct(echoes, best)
-    gone = len(kept) > 0 and not state.patches
-    worse = [number for number, cost in zip(state.origin, state.cost, strict=True) if not cost < before[number]]
-    taken = bool(kept) and not gone and not worse
-    if not kept:
-        why = _patches.emptiness(detection)
-    elif taken:
-        why = f"entropy fell in all {len(state.patches)} patches"
+        state, gone = _distinct(echoes, best)
+        merged |= gone
+    # those that came to lie where a brighter one is were it all the time
+    apart = [number for number in range(len(kept)) if number not in merged]
+    now = dict(zip(state.origin, state.patches, strict=True))
+    verdict = _patches.judged([kept[n] for n in apart], [now.get(n) for n in apart], METRIC)
+    taken = bool(kept) and state.track is not echoes and verdict.better
+    why = verdict.why if kept else _patches.emptiness(detection)
+    if taken:
+        counted = {apart[n] for n in verdict.kept}
+        state = _some(state, [n for n, origin in enumerate(state.origin) if origin in counted])
     else:
-        why = f"entropy would rise in {len(worse)} of {len(state.patches)} patches" if not gone else "points drifted off"
-    if not taken:
-        state = _State(nothing, np.zeros(echoes.n_ping), np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
+        state = claimed
     shift = shifts(state.series, unknowns.ways) if len(nothing) else np.zeros((echoes.n_ping, 3))
     report = Report(
-        "align_points", "entropy", bool(kept), taken, why, np.array([before[state.origin], state.cost]),
+        "align_points", METRIC, bool(kept), taken, why, np.array([before[state.origin], state.cost]),
         np.array([patch.centre for patch in state.patches]).reshape(-1, 3), detection.contrast, shift, state.turn,
         float(np.max(np.linalg.norm(shift, axis=1))), state.gauge, tuple(name for name in names if name != "yaw"),
         _patches.share_seen(state.patches, echoes.n_ping), solutions, time.perf_counter() - began, tuple(told),
@@ -308,20 +313,26 @@ def _step(
         expected.append(moved_place(virtual, one.point + np.array([*error, 0.0]), rest[one.pings]))
     track = moved(echoes, shifts(total, unknowns.ways), turn, velocity)
     again = _patches.centred(track, np.array(expected), tol, threads)
-    cost, patches = state.cost.copy(), list(state.patches)
+    cost, patches, origin = state.cost.copy(), [], []
     for number, patch in enumerate(again):
         if patch is not None:
-            patches[number], cost[number] = patch, _patches.costs([patch], "entropy")[0]
-    return sigma, _State(total, turn, state.gauge + removed, track, patches, state.origin, cost)
+            cost[number] = _patches.costs([patch], METRIC)[0]
+            patches.append(patch)
+            origin.append(state.origin[number])
+    return sigma, _State(total, turn, state.gauge + removed, track, patches, origin, cost)
 
 
-def _distinct(echoes: Echoes, state: _State) -> _State:
-    """Without points that came to lie where a brighter one is."""
+def _some(state: _State, numbers: Sequence[int]) -> _State:
+    """With some of its points."""
+    patches = [state.patches[n] for n in numbers]
+    origin = [state.origin[n] for n in numbers]
+    return dataclasses.replace(state, patches=patches, origin=origin, cost=_patches.costs(patches, METRIC))
+
+
+def _distinct(echoes: Echoes, state: _State) -> tuple[_State, set[int]]:
+    """Without points that came to lie where a brighter one is, and which these were at first."""
     level = np.array([np.max(np.abs(patch.image())) for patch in state.patches])
     order = np.argsort(-level, kind="stable")
-    places = np.array([state.patches[i].brightest()[0] for i in order])
+    places = np.array([state.patches[i].brightest()[0] for i in order]).reshape(-1, 3)
     kept = sorted(int(order[i]) for i in _patches.spread(places, SAME * cell_of(echoes)))
-    return _State(
-        state.series, state.turn, state.gauge, state.track, [state.patches[i] for i in kept],
-        [state.origin[i] for i in kept], state.cost[kept],
-    )  # fmt: skip
+    return _some(state, kept), set(state.origin) - {state.origin[n] for n in kept}

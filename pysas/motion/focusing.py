@@ -10,8 +10,10 @@ Lines of sight are linear over a patch, so that the factors are products of one 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -185,60 +187,74 @@ def autofocus(
     cell = echoes.mean_speed / (2 * echoes.occupied_bandwidth)
 
     detection = _patches.found(echoes, grid, tol, threads)
-    kept = [patch for patch in _patches.centred(echoes, detection.centres, tol, threads) if patch is not None]
-    series = np.zeros((len(names), echoes.n_ping))
-    gauge = np.zeros((len(names), 2))
-    track, taken, looked = echoes, False, 0
-    before = now = costs(kept, metric)
+    claimed = [patch for patch in _patches.centred(echoes, detection.centres, tol, threads) if patch is not None]
+    nothing = np.zeros((len(names), echoes.n_ping))
+    state = best = _State(nothing, np.zeros((len(names), 2)), echoes, claimed, list(range(len(claimed))))
     told: list[str] = []
-    for functions, label in levels if kept else []:
+    looked = 0
+    for functions, label in levels if claimed else []:
         basis = _Basis(functions, directions)
         for _ in range(PASSES):
-            step, count = minimised(kept, basis, k, metric, bound, series)
+            step, count = minimised(state.patches, basis, k, metric, bound, state.series)
             looked += count
-            total = series + step
-            removed = np.zeros_like(gauge)
+            total, removed = state.series + step, np.zeros_like(state.gauge)
             if harmonics is None:
                 total, removed = without_gauge(total, directions, middle)
-            largest = float(np.max(np.linalg.norm(basis.shift(total - series), axis=1)))
+            largest = float(np.max(np.linalg.norm(basis.shift(total - state.series), axis=1)))
             said = f"{label}: {1e3 * largest:.3g} mm at most"
             if largest > cell:
-                told.append(f"{said}: not taken: more than a range cell of {1e3 * cell:.3g} mm")
+                told.append(f"{said}: not tried: more than a range cell of {1e3 * cell:.3g} mm")
                 break
             expected = []
-            for patch in kept:
-                tried = basis.shift(step)[patch.pings]
-                rest = basis.shift(total - series - step)[patch.pings]
-                expected.append(moved_place(patch, _peak(patch, tried, k[patch.pings]), rest))
-            candidate = moved(echoes, basis.shift(total), np.zeros(echoes.n_ping), velocity)
-            again = _patches.centred(candidate, np.array(expected), tol, threads)
-            there = [patch for patch in again if patch is not None]
-            if len(there) < len(kept):
-                told.append(f"{said}: not taken: {len(kept) - len(there)} bright points left their patches")
+            for patch in state.patches:
+                rest = basis.shift(total - state.series - step)[patch.pings]
+                expected.append(moved_place(patch, _peak(patch, basis.shift(step)[patch.pings], k[patch.pings]), rest))
+            track = moved(echoes, basis.shift(total), np.zeros(echoes.n_ping), velocity)
+            again = _patches.centred(track, np.array(expected), tol, threads)
+            kept = [number for number, patch in enumerate(again) if patch is not None]
+            now, then = costs([again[n] for n in kept], metric), costs([state.patches[n] for n in kept], metric)
+            if not kept or not now.mean() < then.mean():
+                told.append(f"{said}: not taken: {metric} does not fall")
                 break
-            after = costs(there, metric)
-            if not np.all(after < now):
-                told.append(
-                    f"{said}: not taken: {metric} rises in {int(np.count_nonzero(after >= now))} of {len(kept)} patches, "
-                    f"by {np.max(after - now):.2g} at most"
-                )
-                break
-            told.append(f"{said}: taken: {metric} {now.mean():.4g} to {after.mean():.4g}")
-            series, track, kept, now, taken, gauge = total, candidate, there, after, True, gauge + removed
+            whole: list[Patch | None] = [None] * len(claimed)
+            for number in kept:
+                whole[state.origin[number]] = again[number]
+            verdict = _patches.judged(claimed, whole, metric)
+            told.append(f"{said}: {metric} {then.mean():.4g} to {now.mean():.4g}: {verdict.why}")
+            state = _State(total, state.gauge + removed, track, [again[n] for n in kept], [state.origin[n] for n in kept])
+            if verdict.better:
+                counted = [number for number, origin in enumerate(state.origin) if origin in verdict.kept]
+                patches, origins = [state.patches[n] for n in counted], [state.origin[n] for n in counted]
+                best = dataclasses.replace(state, patches=patches, origin=origins)
             if largest < STILL * wavelength:
                 break
-    shift = shifts(series, directions)
-    if not kept:
+    taken = best.track is not echoes
+    if not claimed:
         why = _patches.emptiness(detection)
+    elif taken:
+        why = f"{metric} fell in all {len(best.patches)} patches"
     else:
-        why = f"{metric} fell in all {len(kept)} patches" if taken else "no step lowers the cost of every patch"
+        why = f"no correction lowers the {metric} of every patch"
+    shift = shifts(best.series, directions)
+    before = costs([claimed[number] for number in best.origin], metric)
     report = Report(
-        "autofocus", metric, bool(kept), taken, why, np.array([before, now]),
-        np.array([patch.centre for patch in kept]).reshape(-1, 3), detection.contrast, shift, np.zeros(echoes.n_ping),
-        float(np.max(np.linalg.norm(shift, axis=1))), gauge, names, _patches.share_seen(kept, echoes.n_ping), looked, time.perf_counter() - began,
-        tuple(told),
+        "autofocus", metric, bool(claimed), taken, why, np.array([before, costs(best.patches, metric)]),
+        np.array([patch.centre for patch in best.patches]).reshape(-1, 3), detection.contrast, shift, np.zeros(echoes.n_ping),
+        float(np.max(np.linalg.norm(shift, axis=1))), best.gauge, names, _patches.share_seen(best.patches, echoes.n_ping),
+        looked, time.perf_counter() - began, tuple(told),
     )  # fmt: skip
-    return track, report
+    return best.track, report
+
+
+@dataclass(frozen=True)
+class _State:
+    """A track that was tried: displacements, what was taken out of them, and patches, each with its number at first."""
+
+    series: FloatArray
+    gauge: FloatArray
+    track: Echoes
+    patches: list[Patch]
+    origin: list[int]
 
 
 def _peak(patch: Patch, delta: FloatArray, k: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ the sum of each ping that sees it, so that phases of pings can be tried without 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +33,8 @@ TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-2  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 
+EMPTIED = 0.5  # of a patch's energy: one that keeps less held another point's side lobes
+COVERED = 0.9  # of the pings of such a patch are seen by those that count
 METRICS = ("entropy", "sharpness")
 LEAST_PINGS = 8
 
@@ -158,13 +161,13 @@ def within_records(echoes: Echoes, point: FloatArray) -> Int:
 
 
 @np.errstate(under="ignore")
-def detect(image: ComplexArray, grid: Grid, apart: float) -> Detection:
+def detect(image: ComplexArray, grid: Grid, apart: float, most: int = MOST) -> Detection:
     """Bright isolated maxima of an image.
 
     Clutter is taken for developed speckle, whose power is exponential about a mean that medians over tiles of TILE x TILE
     pixels tell. The largest of n independent pixels exceeds mean (ln n + ln 1/p) with a chance p: FALSE_ALARM. Bright points
     exceed that, are the largest within `apart` of them, and lie at most 18 dB below the brightest. Where there are more than
-    MOST, those that are farther apart are taken first.
+    `most`, those that are farther apart are taken first.
     """
     magnitude = np.abs(image).astype(np.float64)
     power = magnitude**2
@@ -181,12 +184,13 @@ def detect(image: ComplexArray, grid: Grid, apart: float) -> Detection:
     if bright.size == 0:
         return Detection(np.zeros((0, 3)), contrast, highest, 10 * float(np.log10(threshold)))
     bright = bright[np.argsort(-power.ravel()[bright], kind="stable")]
+    bright = bright[:1] if most == 1 else bright
     places = grid.coordinates(bright)
-    chosen = spread(places, apart)
+    chosen = spread(places, apart, most)
     return Detection(places[chosen], contrast, highest, 10 * float(np.log10(threshold)))
 
 
-def spread(places: FloatArray, apart: float) -> list[int]:
+def spread(places: FloatArray, apart: float, most: int = MOST) -> list[int]:
     """Which of (n, 3) places in order of their worth are kept, `apart` from each other; first those that are farther apart."""
     chosen: list[int] = []
     peaks: list[int] = []
@@ -197,7 +201,7 @@ def spread(places: FloatArray, apart: float) -> list[int]:
         left &= np.linalg.norm(places - places[one], axis=1) > apart
     for distance in (4 * apart, 2 * apart, apart):
         for one in peaks:
-            if len(chosen) == MOST:
+            if len(chosen) == most:
                 return chosen
             near = np.linalg.norm(places[chosen] - places[one], axis=1) if chosen else np.array([np.inf])
             if one not in chosen and near.min() > distance * (1 - 1e-12):
@@ -309,6 +313,45 @@ def costs(patches: Sequence[Patch], metric: str) -> FloatArray:
     return np.array([cost_of(np.abs(patch.image()).astype(np.float64) ** 2, metric)[0] for patch in patches])
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a track is better by its patches: `kept` are the numbers of those that hold a point, of which none may have become
+    worse."""
+
+    better: bool
+    kept: list[int]
+    why: str
+
+
+def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) -> Verdict:
+    """Compare patches with one track and with another.
+
+    The cost of every patch has to fall. Only one that held side lobes of a smeared point elsewhere does not count: it has lost
+    half its energy or more, those that count are at least half of all, and they see the pings that it was seen by.
+    """
+    old = costs(before, metric)
+    counted, empty, rising = [], [], 0
+    for number, patch in enumerate(after):
+        if patch is None or energy_of(patch) < EMPTIED * energy_of(before[number]):
+            empty.append(number)
+            continue
+        counted.append(number)
+        rising += not costs([patch], metric)[0] < old[number]
+    if rising:
+        return Verdict(False, counted, f"{metric} rises in {rising} of {len(before)} patches")
+    if 2 * len(counted) < len(before):
+        return Verdict(False, counted, f"{len(empty)} of {len(before)} bright points left their patches")
+    seen = np.unique(np.concatenate([before[number].pings for number in counted]))
+    if any(np.mean(np.isin(before[number].pings, seen)) < COVERED for number in empty):
+        return Verdict(False, counted, "a bright point left its patch, and no other sees its pings")
+    without = f", {len(empty)} others were side lobes" if empty else ""
+    return Verdict(True, counted, f"{metric} falls in all {len(counted)} patches{without}")
+
+
+def energy_of(patch: Patch) -> float:
+    return float(np.sum(np.abs(patch.image()).astype(np.float64) ** 2))
+
+
 def without_gauge(series: FloatArray, directions: Sequence[FloatArray], middle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(component, ping) displacements without what no image tells, and that, (component, 2): of a line each one's mean, m, and
     slope, m/m; of a track that turns by more than a radian what of each a shift of everything along x and y does, m."""
@@ -380,13 +423,13 @@ def share_seen(patches: Sequence[Patch], n_ping: int) -> float:
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
-    """Bright points of the grid's image with the track as it is."""
-    image = focus(echoes, grid, tol=tol, threads=threads)
-    return detect(np.asarray(image.data), grid, apart=separation(echoes))
-
-
-def separation(echoes: Echoes) -> float:
-    """How far apart bright points are to be, m: twenty resolution cells of range."""
-    return 20 * echoes.mean_speed / (2 * echoes.occupied_bandwidth)
-
-
+    """Bright points of the grid's image with the track as it is, so far apart that the brightest one's patch would hold no
+    other."""
+    image = np.asarray(focus(echoes, grid, tol=tol, threads=threads).data)
+    first = detect(image, grid, 0.0, most=1)
+    if not len(first.centres):
+        return first
+    (patch,) = made(echoes, first.centres, tol, threads)
+    if patch is None:
+        return dataclasses.replace(first, centres=first.centres[:0])
+    return detect(image, grid, apart=2 * float(patch.offsets[-1] * np.linalg.norm(patch.steps, axis=1).max()))
