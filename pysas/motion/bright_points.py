@@ -11,6 +11,7 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -86,15 +87,19 @@ def cell_of(echoes: Echoes) -> float:
     return echoes.mean_speed / (2 * echoes.occupied_bandwidth)
 
 
-def sliced(echoes: Echoes, points: FloatArray, channels: bool, tol: float, threads: int | None) -> list[Slices]:
-    """Slices of all points: read along each ping's line of sight, where travel times are exact, and the carrier taken out."""
+def sliced(
+    echoes: Echoes, patches: Sequence[Patch], channels: bool, tol: float, threads: int | None
+) -> list[Slices]:  # fmt: skip
+    """Slices through the brightest pixel of each patch in the pings that see it: read along each ping's line of sight, where
+    travel times are exact, and the carrier taken out."""
     middle = centres(echoes)
     cell = cell_of(echoes)
     step = cell / 1.5
     half = int(np.ceil(max(REACH, 8 * cell) / step))
     lags = np.arange(-half, half + 1) * step
     k = wave_numbers(echoes)
-    pings = [_patches.within_records(echoes, point) for point in points]
+    points = np.array([patch.brightest()[0] for patch in patches])
+    pings = [patch.pings for patch in patches]
     sights = [looks(middle[some], point) for point, some in zip(points, pings, strict=True)]
     every, ways = np.concatenate(pings), np.concatenate([look for look, _ in sights])
     places = np.repeat(points, [len(some) for some in pings], axis=0)
@@ -179,9 +184,9 @@ def _relative(strength: FloatArray) -> FloatArray:
     return np.asarray(strength / max(float(np.max(strength, initial=0.0)), 1e-300))
 
 
-def solved(rows: Sequence[Rows], unknowns: int, ties: FloatArray) -> tuple[FloatArray, float]:
-    """Least squares of rows with Cauchy's weights, each kind's residuals having a standard deviation of their own, and the
-    unknowns tied to 0; returns the solution and the median of the standard deviations, m."""
+def solved(rows: Sequence[Rows], ties: Any) -> tuple[FloatArray, float]:
+    """Least squares of rows with Cauchy's weights, each kind's residuals having a standard deviation of their own, and of `ties`,
+    sparse rows that are to give 0; returns the solution and the median of the standard deviations, m."""
     row, column, value, group = [], [], [], []
     start = 0
     for number, one in enumerate(rows):
@@ -192,15 +197,13 @@ def solved(rows: Sequence[Rows], unknowns: int, ties: FloatArray) -> tuple[Float
         group.append(np.full(len(one.wanted), number))
         start += len(one.wanted)
     where = (np.concatenate(row), np.concatenate(column))
-    design = scipy.sparse.csr_array((np.concatenate(value), where), shape=(start, unknowns))
-    wanted, weight, kind = (
-        np.concatenate(part) for part in ([r.wanted for r in rows], [r.weight for r in rows], group)
-    )
+    design = scipy.sparse.csr_array((np.concatenate(value), where), shape=(start, ties.shape[1]))
+    wanted, weight, kind = (np.concatenate(part) for part in ([r.wanted for r in rows], [r.weight for r in rows], group))
     robust, sigma = np.ones_like(weight), np.ones(len(rows))
     for _ in range(REWEIGHTED):
         relative = (np.median(sigma) / sigma[kind]) ** 2
         total = weight * robust * relative
-        normal = design.T @ scipy.sparse.diags_array(total) @ design + scipy.sparse.diags_array(ties**2)
+        normal = design.T @ scipy.sparse.diags_array(total) @ design + ties.T @ ties
         solution = np.asarray(scipy.sparse.linalg.spsolve(normal.tocsc(), design.T @ (total * wanted)))
         rest = (design @ solution - wanted) * np.sqrt(weight)
         sigma = np.array([1.4826 * np.median(np.abs(rest[kind == n])) if np.any(kind == n) else 1.0 for n in range(len(rows))])
@@ -256,14 +259,13 @@ def align_points(
     told: list[str] = []
     solutions = 0
     for iteration in range(iterations if kept else 0):
-        places = np.array([patch.brightest()[0] for patch in state.patches])
-        slices = sliced(state.track, places, unknowns.turns, tol, threads)
+        slices = sliced(state.track, state.patches, unknowns.turns, tol, threads)
         reach = NARROW * cell_of(echoes) if iteration else np.inf
         tried = [_step(echoes, state, slices, unknowns, velocity, w, reach, tol, threads) for w in WINDOWS]
         solutions += len(tried)
         width, (sigma, best) = min(zip(WINDOWS, tried, strict=True), key=lambda one: float(one[1][1].cost.mean()))
         largest = 1e3 * float(np.max(np.linalg.norm(shifts(best.series - state.series, unknowns.ways), axis=1)))
-        said = f"{len(places)} points, window of {width:g} pings: {largest:.3g} mm at most, sigma {1e3 * sigma:.2g} mm"
+        said = f"{len(slices)} points, window of {width:g} pings: {largest:.3g} mm at most, sigma {1e3 * sigma:.2g} mm"
         told.append(f"{said}: {METRIC} {state.cost.mean():.4g} to {best.cost.mean():.4g}")
         if not best.cost.mean() < state.cost.mean():
             break
@@ -300,12 +302,12 @@ def _step(
     if unknowns.turns:
         rows += [slope_rows(one, number, k, unknowns) for number, one in enumerate(slices)]
     ties = [LEAST_TIE if way is unknowns.sway else 3 * LEAST_TIE for way in unknowns.ways] + [LEAST_TIE] * unknowns.turns
-    every = np.concatenate([np.tile(ties, n), np.full(2 * len(slices), LEAST_TIE)])
-    solution, sigma = solved(rows, len(every), every)
+    solution, sigma = solved(rows, _ties(ties, n, 2 * len(slices)))
     mine = solution[: n * unknowns.each].reshape(n, unknowns.each).T
     errors = solution[n * unknowns.each :].reshape(-1, 2)
     step, turn = mine[: len(unknowns.ways)], state.turn + (mine[-1] if unknowns.turns else 0.0)
-    total, removed = without_gauge(state.series + step, unknowns.ways, centres(echoes))
+    seen = _patches.seen_by(state.patches)
+    total, removed = without_gauge(state.series + step, unknowns.ways, centres(echoes), seen)
     rest = shifts(total - state.series - step, unknowns.ways)
     expected = []
     for one, error in zip(slices, errors, strict=True):
@@ -320,6 +322,15 @@ def _step(
             patches.append(patch)
             origin.append(state.origin[number])
     return sigma, _State(total, turn, state.gauge + removed, track, patches, origin, cost)
+
+
+def _ties(ties: Sequence[float], n_ping: int, others: int) -> Any:
+    """Each ping's unknowns to 0, as no row tells a shift of everything, and ten times as firmly to those of the ping before, so
+    that pings that see no point go with their neighbours; the points' errors to 0."""
+    each = scipy.sparse.diags_array(np.asarray(ties))
+    change = scipy.sparse.eye_array(n_ping - 1, n_ping, k=1) - scipy.sparse.eye_array(n_ping - 1, n_ping)
+    pings = scipy.sparse.kron(scipy.sparse.vstack([10 * change, scipy.sparse.eye_array(n_ping)]), each)
+    return scipy.sparse.block_diag([pings, scipy.sparse.diags_array(np.full(others, LEAST_TIE))]).tocsr()
 
 
 def _some(state: _State, numbers: Sequence[int]) -> _State:

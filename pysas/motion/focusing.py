@@ -37,6 +37,7 @@ FIRST_HARMONICS = (4, 8, 16, 32)  # before the highest asked for
 PASSES = 3  # over one set of knots
 STEPS = 60  # of the minimiser
 PRIOR = 1 / 500  # weight of the prior beside costs of order one: about one over a point's energy beside its image's noise
+BASIN = 0.25  # wavelengths: phases do not tell a correction beyond from another by whole turns
 STILL = 1e-3  # wavelengths: a step that moves no ping farther ends a set of knots
 
 
@@ -79,11 +80,11 @@ class _Basis:
         return np.concatenate([self.functions.T @ row for row in pull])
 
 
-def _splines(n_ping: int, count: int) -> Any:
-    """(ping, count) clamped cubic B-splines over the number of the ping."""
-    inner = np.linspace(0, n_ping - 1, count - ORDER + 1)
-    knots = np.concatenate([np.zeros(ORDER), inner, np.full(ORDER, n_ping - 1.0)])
-    return scipy.interpolate.BSpline.design_matrix(np.arange(n_ping, dtype=np.float64), knots, ORDER)
+def _splines(at: FloatArray, count: int) -> Any:
+    """(ping, count) clamped cubic B-splines over the numbers `at` of pings."""
+    inner = np.linspace(at[0], at[-1], count - ORDER + 1)
+    knots = np.concatenate([np.full(ORDER, at[0]), inner, np.full(ORDER, at[-1])])
+    return scipy.interpolate.BSpline.design_matrix(at, knots, ORDER)
 
 
 def _waves(angle: FloatArray, highest: int) -> FloatArray:
@@ -184,26 +185,28 @@ def autofocus(
     k = wave_numbers(echoes)
     bound = _prior_of(prior, echoes, names)
     wavelength = echoes.mean_speed / echoes.fc
-    cell = echoes.mean_speed / (2 * echoes.occupied_bandwidth)
 
     detection = _patches.found(echoes, grid, tol, threads)
     claimed = [patch for patch in _patches.centred(echoes, detection.centres, tol, threads) if patch is not None]
     nothing = np.zeros((len(names), echoes.n_ping))
     state = best = _State(nothing, np.zeros((len(names), 2)), echoes, claimed, list(range(len(claimed))))
     told: list[str] = []
-    looked = 0
-    for functions, label in levels if claimed else []:
-        basis = _Basis(functions, directions)
+    looked, beyond = 0, False
+    seen = _patches.seen_by(claimed) if claimed else np.arange(echoes.n_ping)
+    for level in levels if claimed else []:
+        basis, label = _basis(level, harmonics is not None, directions, middle, seen)
         for _ in range(PASSES):
             step, count = minimised(state.patches, basis, k, metric, bound, state.series)
             looked += count
             total, removed = state.series + step, np.zeros_like(state.gauge)
             if harmonics is None:
-                total, removed = without_gauge(total, directions, middle)
+                total, removed = without_gauge(total, directions, middle, seen)
             largest = float(np.max(np.linalg.norm(basis.shift(total - state.series), axis=1)))
             said = f"{label}: {1e3 * largest:.3g} mm at most"
-            if largest > cell:
-                told.append(f"{said}: not tried: more than a range cell of {1e3 * cell:.3g} mm")
+            farthest = float(np.max(np.linalg.norm(basis.shift(total), axis=1)))
+            if farthest > BASIN * wavelength:
+                told.append(f"{said}: not tried: {1e3 * farthest:.3g} mm in all, beyond a quarter of the wavelength")
+                beyond = True
                 break
             expected = []
             for patch in state.patches:
@@ -235,6 +238,7 @@ def autofocus(
         why = f"{metric} fell in all {len(best.patches)} patches"
     else:
         why = f"no correction lowers the {metric} of every patch"
+        why += ", and some led beyond a quarter of the wavelength: align_points reaches farther" if beyond else ""
     shift = shifts(best.series, directions)
     before = costs([claimed[number] for number in best.origin], metric)
     report = Report(
@@ -269,14 +273,21 @@ def _peak(patch: Patch, delta: FloatArray, k: FloatArray) -> FloatArray:
     return patch.centre + at @ patch.steps
 
 
-def _levels(echoes: Echoes, knots: Any, harmonics: Any) -> list[tuple[Any, str]]:
-    """Functions of the ping, coarse to fine, and what they are called."""
+def _levels(echoes: Echoes, knots: Any, harmonics: Any) -> list[int]:
+    """Numbers of splines, or highest harmonics, coarse to fine."""
     if harmonics is not None:
         highest = _checks.whole("harmonics", harmonics, low=2, high=echoes.n_ping // 2)
-        angle = angles(centres(echoes))
-        orders = [n for n in FIRST_HARMONICS if n < highest] + [highest]
-        return [(_waves(angle, n), f"harmonics 2 to {n}") for n in orders]
+        return [n for n in FIRST_HARMONICS if n < highest] + [highest]
     if isinstance(knots, str) or not isinstance(knots, Sequence) or not knots:
         raise TypeError(f"knots={knots!r}: expected a sequence of numbers of splines")
-    counts = [_checks.whole("knots", count, low=ORDER + 1, high=echoes.n_ping) for count in knots]
-    return [(_splines(echoes.n_ping, count), f"{count} knots") for count in counts]
+    return [_checks.whole("knots", count, low=ORDER + 1, high=echoes.n_ping) for count in knots]
+
+
+def _basis(
+    level: int, round_: bool, directions: list[FloatArray], middle: FloatArray, seen: _patches.Int
+) -> tuple[_Basis, str]:  # fmt: skip
+    """Functions of the ping, of those that are seen and the same beyond, and what they are called."""
+    if round_:
+        return _Basis(_waves(angles(middle), level), directions), f"harmonics 2 to {level}"
+    at = _patches.held(seen, len(middle)).astype(np.float64)
+    return _Basis(_splines(at, level), directions), f"{level} knots"

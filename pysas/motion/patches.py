@@ -24,8 +24,8 @@ from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.motion.moving import VELOCITIES, centres
 
-PIXELS = 41  # of a patch along each axis: some 13 resolution cells to either side
-MARGIN = 1.3  # spacing of a patch's pixels below Nyquist's
+PIXELS = 51  # of a patch along each axis: some 12 resolution cells to either side
+MARGIN = 2.0  # spacing of pixels below that of Nyquist: sums of |I|^4 depend on where pixels lie beside a peak if it is less
 MOST = 32  # patches
 FALSE_ALARM = 1e-3  # chance that an image of developed speckle has any bright point
 DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest one's: what lies below is taken for its side lobes
@@ -341,7 +341,7 @@ def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) 
         return Verdict(False, counted, f"{metric} rises in {rising} of {len(before)} patches")
     if 2 * len(counted) < len(before):
         return Verdict(False, counted, f"{len(empty)} of {len(before)} bright points left their patches")
-    seen = np.unique(np.concatenate([before[number].pings for number in counted]))
+    seen = seen_by([before[number] for number in counted])
     if any(np.mean(np.isin(before[number].pings, seen)) < COVERED for number in empty):
         return Verdict(False, counted, "a bright point left its patch, and no other sees its pings")
     without = f", {len(empty)} others were side lobes" if empty else ""
@@ -352,9 +352,14 @@ def energy_of(patch: Patch) -> float:
     return float(np.sum(np.abs(patch.image()).astype(np.float64) ** 2))
 
 
-def without_gauge(series: FloatArray, directions: Sequence[FloatArray], middle: FloatArray) -> tuple[FloatArray, FloatArray]:
+def without_gauge(
+    series: FloatArray, directions: Sequence[FloatArray], middle: FloatArray, seen: Int
+) -> tuple[FloatArray, FloatArray]:
     """(component, ping) displacements without what no image tells, and that, (component, 2): of a line each one's mean, m, and
-    slope, m/m; of a track that turns by more than a radian what of each a shift of everything along x and y does, m."""
+    slope, m/m; of a track that turns by more than a radian what of each a shift of everything along x and y does, m.
+
+    Pings before the first and after the last that are seen keep these two's displacements.
+    """
     way = np.diff(middle, axis=0)
     turned = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
     found, kept = [], []
@@ -363,11 +368,21 @@ def without_gauge(series: FloatArray, directions: Sequence[FloatArray], middle: 
             design = direction[:, :2]
         else:
             arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(way, axis=1))])
-            design = np.stack([np.ones(arc.size), arc - arc.mean()], axis=1)
-        part, *_ = np.linalg.lstsq(design, row, rcond=1e-9)
-        kept.append(row - design @ part)
+            design = np.stack([np.ones(arc.size), arc - arc[seen].mean()], axis=1)
+        part, *_ = np.linalg.lstsq(design[seen], row[seen], rcond=1e-9)
+        kept.append((row - design @ part)[held(seen, len(row))])
         found.append(part)
     return np.array(kept), np.array(found)
+
+
+def held(seen: Int, n_ping: int) -> Int:
+    """(ping,) each ping, or the first or last that is seen where that lies between."""
+    return np.clip(np.arange(n_ping), seen[0], seen[-1])
+
+
+def seen_by(patches: Sequence[Patch]) -> Int:
+    """Pings that see at least one of the patches."""
+    return np.unique(np.concatenate([patch.pings for patch in patches]))
 
 
 def shifts(series: FloatArray, directions: Sequence[FloatArray]) -> FloatArray:
@@ -384,7 +399,9 @@ def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArra
     return place + np.array([found[0], found[1], 0.0])
 
 
-def require(echoes: Any, grid: Any, components: Any, known: Sequence[str], velocity: Any, metric: Any = "entropy") -> tuple[str, ...]:
+def require(
+    echoes: Any, grid: Any, components: Any, known: Sequence[str], velocity: Any, metric: Any = "entropy"
+) -> tuple[str, ...]:
     """Check what both methods are given; returns the components."""
     if not isinstance(echoes, Echoes):
         raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
@@ -419,7 +436,7 @@ def emptiness(detection: Detection) -> str:
 
 def share_seen(patches: Sequence[Patch], n_ping: int) -> float:
     """Of the pings, that see at least one patch."""
-    return np.unique(np.concatenate([patch.pings for patch in patches])).size / n_ping if patches else 0.0
+    return seen_by(patches).size / n_ping if patches else 0.0
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
