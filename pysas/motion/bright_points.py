@@ -31,6 +31,8 @@ from pysas.motion.results import Report
 
 REACH = 0.35  # m of slant range to either side of a point, or eight cells where these are larger
 FINER = 16  # of the correlation's envelope
+ALIKE = 0.02  # nats of the cost's mean: a step that raises it by no more is gone on from, as it may lead on
+STIFF = 3.0  # ties of a ping to the ping before, beside those to 0
 CAUCHY = 4.0  # standard deviations
 LEAST_SIGMA = 1e-6  # m
 REWEIGHTED = 6  # times
@@ -255,7 +257,7 @@ def align_points(
     nothing = np.zeros((len(unknowns.ways), echoes.n_ping))
     still = np.zeros(echoes.n_ping)
     claimed = _State(nothing, still, np.zeros((len(nothing), 2)), echoes, kept, list(range(len(kept))), before)
-    state, merged = claimed, set[int]()
+    state, best, merged = claimed, claimed, set[int]()
     told: list[str] = []
     solutions = 0
     for iteration in range(iterations if kept else 0):
@@ -263,14 +265,18 @@ def align_points(
         reach = NARROW * cell_of(echoes) if iteration else np.inf
         tried = [_step(echoes, state, slices, unknowns, velocity, w, reach, tol, threads) for w in WINDOWS]
         solutions += len(tried)
-        width, (sigma, best) = min(zip(WINDOWS, tried, strict=True), key=lambda one: float(one[1][1].cost.mean()))
-        largest = 1e3 * float(np.max(np.linalg.norm(shifts(best.series - state.series, unknowns.ways), axis=1)))
+        chosen = min(range(len(tried)), key=lambda n: float(tried[n][1].cost.mean()))
+        width, (sigma, following) = WINDOWS[chosen], tried[chosen]
+        largest = 1e3 * float(np.max(np.linalg.norm(shifts(following.series - state.series, unknowns.ways), axis=1)))
         said = f"{len(slices)} points, window of {width:g} pings: {largest:.3g} mm at most, sigma {1e3 * sigma:.2g} mm"
-        told.append(f"{said}: {METRIC} {state.cost.mean():.4g} to {best.cost.mean():.4g}")
-        if not best.cost.mean() < state.cost.mean():
+        told.append(f"{said}: {METRIC} {state.cost.mean():.4g} to {following.cost.mean():.4g}")
+        if not following.cost.mean() < state.cost.mean() + ALIKE:
             break
-        state, gone = _distinct(echoes, best)
+        state, gone = _distinct(echoes, following)
         merged |= gone
+        if gone or best is claimed or state.cost.mean() < best.cost.mean():
+            best = state
+    state = best
     # those that came to lie where a brighter one is were it all the time
     apart = [number for number in range(len(kept)) if number not in merged]
     now = dict(zip(state.origin, state.patches, strict=True))
@@ -329,7 +335,7 @@ def _ties(ties: Sequence[float], n_ping: int, others: int) -> Any:
     that pings that see no point go with their neighbours; the points' errors to 0."""
     each = scipy.sparse.diags_array(np.asarray(ties))
     change = scipy.sparse.eye_array(n_ping - 1, n_ping, k=1) - scipy.sparse.eye_array(n_ping - 1, n_ping)
-    pings = scipy.sparse.kron(scipy.sparse.vstack([10 * change, scipy.sparse.eye_array(n_ping)]), each)
+    pings = scipy.sparse.kron(scipy.sparse.vstack([STIFF * change, scipy.sparse.eye_array(n_ping)]), each)
     return scipy.sparse.block_diag([pings, scipy.sparse.diags_array(np.full(others, LEAST_TIE))]).tocsr()
 
 

@@ -30,7 +30,7 @@ MOST = 32  # patches
 FALSE_ALARM = 1e-3  # chance that an image of developed speckle has any bright point
 DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest one's: what lies below is taken for its side lobes
 TILE = 32  # pixels along each axis over which the clutter's level is taken
-FAINT = 1e-2  # energy of a ping beside the strongest one's below which it does not see a point
+FAINT = 1e-3  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 
 EMPTIED = 0.5  # of a patch's energy: one that keeps less held another point's side lobes
