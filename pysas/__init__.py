@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
     from pysas.motion.navigating import micronavigate
+    from pysas.motion.bright_points import align_points
+    from pysas.motion.focusing import autofocus
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
@@ -36,6 +38,10 @@ __all__ = [
     "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect",
     "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion", "navigation", "plan", "plot", "read_table",
     "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "align_points", "autofocus",
+    "backproject", "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus",
+    "from_phase_history", "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics", "motion",
+    "navigation", "plan", "plot", "read_table", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
@@ -53,6 +59,8 @@ _MODULES = {
     "motion.navigating": ("micronavigate",),
     "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
+    "motion.bright_points": ("align_points",),
+    "motion.focusing": ("autofocus",),
     "inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),

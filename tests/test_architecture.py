@@ -29,7 +29,7 @@ OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
     "backproject", "ffbp", "focus", "plan", "simulate", "compress", "demodulate", "load", "load_echoes", "load_image", "save",
-    "from_phase_history", "show_config", "get_include", "get_library", "inspect", "read_table",
+    "from_phase_history", "show_config", "get_include", "get_library", "inspect", "read_table", "align_points", "autofocus",
 }  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """Small patches about bright points: where an image has some, and what each ping contributes to their pixels.
 
-A patch is a square of PIXELS x PIXELS points in the horizontal plane through its centre, one axis along the mean horizontal line
-of sight, spaced so that its image is sampled above the Nyquist rate of what the centre's pings show of it. It keeps the terms of
-the sum of each ping that sees it, so that phases of pings can be tried without reading an echo again.
+A patch is a square of PIXELS x PIXELS points in the horizontal plane through its centre, one axis along the mean horizontal
+line of sight, spaced so that its image is sampled above the Nyquist rate of what the centre's pings show of it. It keeps the
+terms of the sum of each ping that sees it, so that phases of pings can be tried without reading an echo again.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ FAINT = 1e-3  # energy of a ping beside the strongest one's below which it does 
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 
 EMPTIED = 0.5  # of a patch's energy: one that keeps less held another point's side lobes
+LEAST_GAIN = 0.01  # nats, about 0.05 dB of a peak
 COVERED = 0.9  # of the pings of such a patch are seen by those that count
 METRICS = ("entropy", "sharpness")
 LEAST_PINGS = 8
@@ -253,7 +254,7 @@ def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) ->
         return [None] * len(points)
     every = np.repeat(points, [len(row) for row in rows], axis=0)
     first = read(echoes, every, np.zeros_like(every), 1, np.concatenate(rows), tol, threads)[:, 0]
-    offsets = np.arange(PIXELS) - PIXELS // 2.0
+    offsets: FloatArray = np.arange(PIXELS, dtype=np.float64) - PIXELS // 2
     patches: list[Patch | None] = []
     ends = np.cumsum([len(row) for row in rows])
     for point, row, end in zip(points, rows, ends, strict=True):
@@ -270,7 +271,9 @@ def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) ->
         terms = read(echoes, lines, way, PIXELS, np.repeat(pings, PIXELS), tol, threads)
         look, distance = looks(middle[pings], point)
         turns = np.stack([(step - look * (look @ step)[:, None]) / distance[:, None] for step in steps])
-        patches.append(Patch(point, steps, offsets, pings, terms.reshape(-1, PIXELS, PIXELS), look, turns))
+        patches.append(
+            Patch(point, steps, offsets, pings, terms.reshape(-1, PIXELS, PIXELS), look, np.asarray(turns, dtype=np.float64))
+        )
     return patches
 
 
@@ -315,19 +318,21 @@ def costs(patches: Sequence[Patch], metric: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a track is better by its patches: `kept` are the numbers of those that hold a point, of which none may have become
-    worse."""
+    """Whether a track is better by its patches: `kept` are the numbers of those that hold a point, none of which may have
+    become worse, and `gain` is by how much their costs' mean fell."""
 
     better: bool
     kept: list[int]
     why: str
+    gain: float = 0.0
 
 
 def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) -> Verdict:
     """Compare patches with one track and with another.
 
-    The cost of every patch has to fall. Only one that held side lobes of a smeared point elsewhere does not count: it has lost
-    half its energy or more, those that count are at least half of all, and they see the pings that it was seen by.
+    The cost of every patch has to fall, and their mean by LEAST_GAIN, as clutter alone lets it fall a little with any track
+    that is fitted to it. Only a patch that held side lobes of a smeared point elsewhere does not count: it has lost half its
+    energy or more, those that count are at least half of all, and they are seen by the pings that it was seen by.
     """
     old = costs(before, metric)
     counted, empty, rising = [], [], 0
@@ -339,13 +344,22 @@ def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) 
         rising += not costs([patch], metric)[0] < old[number]
     if rising:
         return Verdict(False, counted, f"{metric} rises in {rising} of {len(before)} patches")
-    if 2 * len(counted) < len(before):
+    if 2 * len(counted) < len(before) or not before:
         return Verdict(False, counted, f"{len(empty)} of {len(before)} bright points left their patches")
     seen = seen_by([before[number] for number in counted])
     if any(np.mean(np.isin(before[number].pings, seen)) < COVERED for number in empty):
         return Verdict(False, counted, "a bright point left its patch, and no other sees its pings")
     without = f", {len(empty)} others were side lobes" if empty else ""
-    return Verdict(True, counted, f"{metric} falls in all {len(counted)} patches{without}")
+    gain = float(np.mean(old[counted] - costs([patch for n, patch in enumerate(after) if patch and n in counted], metric)))
+    if gain < LEAST_GAIN:
+        return Verdict(False, counted, f"{metric} falls by {gain:.2g} alone, which clutter may do")
+    return Verdict(True, counted, f"{metric} falls in all {len(counted)} patches{without}", gain)
+
+
+def stands_out(patch: Patch) -> bool:
+    """Whether its brightest pixel is a bright point beside the rest of the patch, as in `detect`."""
+    power = np.abs(patch.image()).astype(np.float64) ** 2
+    return bool(power.max() * np.log(2) > np.median(power) * (np.log(power.size) + np.log(1 / FALSE_ALARM)))
 
 
 def energy_of(patch: Patch) -> float:
@@ -387,7 +401,7 @@ def seen_by(patches: Sequence[Patch]) -> Int:
 
 def shifts(series: FloatArray, directions: Sequence[FloatArray]) -> FloatArray:
     """(ping, 3) of (component, ping) displacements along (ping, 3) directions each."""
-    return np.asarray(sum(row[:, None] * way for row, way in zip(series, directions, strict=True)))
+    return np.asarray(np.einsum("cp,cpx->px", series, np.asarray(directions)))
 
 
 def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArray:
@@ -436,7 +450,7 @@ def emptiness(detection: Detection) -> str:
 
 def share_seen(patches: Sequence[Patch], n_ping: int) -> float:
     """Of the pings, that see at least one patch."""
-    return seen_by(patches).size / n_ping if patches else 0.0
+    return seen_by(patches).shape[0] / n_ping if patches else 0.0
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:

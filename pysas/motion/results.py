@@ -18,7 +18,7 @@ class Report:
     method : str
         "align_points" or "autofocus".
     metric : str
-        What `cost` is: "entropy" or "sharpness" (-ln(sum |I|^4/(sum |I|^2)^2)) of each patch.
+        What `cost` is: the "entropy" of each patch, or of its "sharpness" -ln(sum |I|^4/(sum |I|^2)^2).
     informative : bool
         Whether the image has bright points to go by.
     taken : bool
@@ -26,7 +26,7 @@ class Report:
     why : str
         In words.
     cost : (2, patch)
-        Of each patch before and after; lower is sharper. Both alike where nothing was taken.
+        Of each patch before and after; lower is sharper; both alike where nothing was taken.
     patches : (patch, 3)
         Their centres with the track returned, m.
     contrast : float
@@ -38,7 +38,8 @@ class Report:
     largest : float
         The longest of the shifts, m.
     gauge : (component, 2)
-        Mean, m, and slope along the track, m/m, of what was taken out of each component of what was found, as no method sees it.
+        Mean, m, and slope along the track, m/m, that were taken out of each component of what was found, as no method sees
+        them; on a track that turns, shifts of all pings along x and y, m.
     components : tuple of str
         Of `gauge`.
     seen : float
