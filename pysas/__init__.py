@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from pysas.model.grid import Grid
     from pysas.model.image import Image, Report
     from pysas.model.pulse import LFM
-    from pysas.motion.navigating import micronavigate
     from pysas.motion.bright_points import align_points
     from pysas.motion.focusing import autofocus
+    from pysas.motion.navigating import micronavigate
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
@@ -34,13 +34,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "backproject", "backproject_arrays", "circular",
-    "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history", "get_include", "get_library", "inspect",
-    "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion", "navigation", "plan", "plot", "read_table",
-    "reference", "save", "show_config", "simulate", "simulation", "tracks",
-    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "align_points", "autofocus",
-    "backproject", "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus",
-    "from_phase_history", "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics", "motion",
+    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "align_points", "autofocus", "backproject",
+    "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history",
+    "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion",
     "navigation", "plan", "plot", "read_table", "reference", "save", "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
@@ -56,11 +52,11 @@ _MODULES = {
     "model.grid": ("Grid",),
     "model.image": ("Image", "Report"),
     "model.pulse": ("LFM",),
+    "motion.bright_points": ("align_points",),
+    "motion.focusing": ("autofocus",),
     "motion.navigating": ("micronavigate",),
     "signal.baseband": ("demodulate",),
     "signal.compression": ("compress",),
-    "motion.bright_points": ("align_points",),
-    "motion.focusing": ("autofocus",),
     "inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
     "simulation": ("simulate",),

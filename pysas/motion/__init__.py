@@ -2,8 +2,6 @@
 
 from pysas.motion.found import Motion
 from pysas.motion.priors import Prior
-
-__all__ = ["Motion", "Prior"]
 from pysas.motion.results import Report
 
-__all__ = ["Report"]
+__all__ = ["Motion", "Prior", "Report"]
