@@ -23,6 +23,7 @@ import pysas.plot
 C, FC, BAND, FS = 1500.0, 100e3, 20e3, 30e3
 TX, RX, RECEIVERS, OVERLAP, DEPTH = 0.10, 0.05, 16, 4, 8.0  # m: elements; receivers a ping, phase centres shared by two pings
 NEAR, FAR, LENGTH = 20.0, 34.0, 40.0  # m: slant ranges recorded, length of the line
+SPEED, GYRO, DEPTH_NOISE = 2e-2, 5e-5, 1e-3  # m/s, rad a ping, m: what the data sheet says of the inertial system, a sigma each
 ADVANCE = (RECEIVERS - OVERLAP) * RX / 2
 HALF_ANGLE = np.arcsin(C / FC / TX)  # the transmitter's first null
 TARGETS = np.array([(-9.0, 21.0), (-4.0, 27.5), (6.5, 30.0), (10.5, 24.0)])  # x, y on the bed
@@ -68,7 +69,7 @@ def recorded(seed: int) -> tuple[pysas.Echoes, pysas.tracks.Track, pysas.tracks.
     true = pysas.tracks.perturbed(
         pings, ADVANCE, start=(-LENGTH / 2, 0, 0), sway=0.10, heave=0.02, yaw=0.012, correlation=5.0, seed=seed
     )
-    claim = pysas.tracks.inertial(true, speed=5e-3, bias=3e-3, gyro=2e-5, depth=5e-4, seed=seed)
+    claim = pysas.tracks.inertial(true, speed=SPEED, bias=3e-3, gyro=GYRO, depth=DEPTH_NOISE, seed=seed)
     here = arms(true)
     element = {"boresight": here["beam"].boresight, "along": here["beam"].axis}
     with warnings.catch_warnings():  # what folds lies outside the pulse's band, where compression takes it away
@@ -106,8 +107,8 @@ def main(arguments: list[str] | None = None) -> dict[str, np.ndarray]:
 
     echoes, true, claim = recorded(options.seed)
     print(echoes)
-    prior = pysas.motion.Prior(speed=5e-3, gyro=2e-5, depth=5e-4)  # the data sheet of the inertial system
-    motion = pysas.micronavigate(echoes, seabed=DEPTH, prior=prior)
+    prior = pysas.motion.Prior(speed=SPEED, gyro=GYRO, depth=DEPTH_NOISE)
+    motion = pysas.micronavigate(echoes, seabed=DEPTH, prior=prior, elements=(TX, RX))
     found = motion.apply(echoes)
     grid = pysas.Grid.plane(np.arange(-13, 13, 0.025), np.arange(19.0, 32.0, 0.0125), z=DEPTH)
     sharp, report = pysas.autofocus(found, grid, prior=motion)

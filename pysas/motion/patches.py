@@ -410,7 +410,7 @@ def moved_place(patch: Patch, place: FloatArray, shift: FloatArray) -> FloatArra
     wanted = np.sum(patch.look * shift, axis=1)
     design = np.column_stack([patch.look[:, :2], np.ones(len(wanted))])
     found, *_ = np.linalg.lstsq(design, wanted, rcond=1e-9)
-    return place + np.array([found[0], found[1], 0.0])
+    return np.asarray(place + np.array([found[0], found[1], 0.0]))
 
 
 def require(

@@ -26,7 +26,7 @@ _BATCH_BYTES = 100e6  # of the samples of both traces of each pair
 _PIECE = 64  # samples of a line on the seabed that lie evenly
 _TASK_ROWS = 64
 # samples left out at both ends of long records, whose ends would have to be read by transforms of them all: a third of the time
-_BESIDE_ENDS = 128
+_BESIDE_ENDS = 256
 _GRAZING = 0.98  # largest sine of the depression angle at which a range says where on the seabed it is
 
 IntArray = npt.NDArray[np.int64]
@@ -118,7 +118,7 @@ class Side:
         height = np.abs(self.seabed - self.centres[..., 2].mean(axis=1))
         steep = np.abs(_plane(self.axis, echoes)[1][:, 2])
         reached = height / (steep * _GRAZING)
-        beside = min(_BESIDE_ENDS, echoes.n_sample // 40)
+        beside = min(_BESIDE_ENDS, echoes.n_sample // 30)
         begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), beside)
         count = (echoes.n_sample - beside - begin) // length
         if length < 8 or count < 1:
