@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import warnings
 
 import motion_scenes
 import numpy as np
@@ -255,6 +256,53 @@ def test_starts_and_windows_a_ping():
     assert slant(navigate(claim.replace(data=data, valid=valid)).apply(claim), true) < 0.2
 
 
+def test_receivers_said_to_stand_still():
+    """A claim without a velocity: the drift while an echo travels is nearly the same from ping to ping."""
+    true, claim, _ = small()
+    still = claim.replace(velocity=None)
+    motion = navigate(still)
+    assert motion.apply(still).velocity is None
+    assert slant(motion.apply(still), true) < 0.2
+
+
+def test_a_curved_track():
+    """An arc of 40 m radius about the seabed: the claim is the arc itself, without sway, heave and yaw."""
+    radius, advance, pings = 40.0, 0.2, 20
+    true, claim = (
+        pysas.tracks.perturbed(pings, advance, start=(-1.9, 0.0, 0.0), sway=s, heave=s / 2, yaw=s / 3, correlation=3.0, seed=4)
+        for s in (0.04, 0.0)
+    )
+
+    def bent(track):
+        x, y, z = track.position.T
+        angle = x / radius
+        c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(pings), np.ones(pings)
+        position = np.stack([(radius - y) * s, radius - (radius - y) * c, z], axis=1)
+        turn = np.stack([np.stack([c, -s, zero], 1), np.stack([s, c, zero], 1), np.stack([zero, zero, one], 1)], axis=1)
+        velocity = np.einsum("pij,pj->pi", turn, track.velocity * np.stack([1 - y / radius, one, one], axis=1))
+        return pysas.tracks.Track(position, velocity, track.yaw + angle, track.time)
+
+    true, claim = bent(true), bent(claim)
+    points, amplitudes = pysas.simulation.seabed((-10.0, 10.0), (16.0, 33.0), 40.0, 8.0, seed=4)
+    geometry = motion_scenes.arms(true, 12)
+    face = {"boresight": geometry["beam"].boresight, "along": geometry["beam"].axis}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pysas.simulation.AliasingWarning)
+        raw = pysas.simulate(
+            points, amplitudes, pysas.LFM(100e3, 20e3, 0.8e-3), fs=50e3, t0=40 / 1500, duration=20 / 1500 + 0.8e-3,
+            tx_element=pysas.simulation.Element(0.10, **face), rx_element=pysas.simulation.Element(0.05, **face),
+            ping_time=true.time, **geometry,
+        )  # fmt: skip
+    echoes = pysas.compress(raw, window="boxcar", inverse=0.01)
+    claimed = motion_scenes.claimed(echoes, claim)
+    motion = navigate(claimed)
+    assert slant(claimed, echoes) > 1.0
+    assert slant(motion.apply(claimed), echoes) < 0.15
+    # the shift is told along the claimed track's own directions
+    forward = np.stack([np.cos(claim.yaw), np.sin(claim.yaw)], axis=1)
+    assert_allclose(motion.surge, np.sum(motion.shift[:, :2] * forward, axis=1), atol=1e-9)
+
+
 def test_two_sides_are_one_solution():
     (right, one, _), (left, other, _) = small(3), small(3, side=-1)
     motion = navigate([one, other])
@@ -296,6 +344,24 @@ def test_a_ping_lost_and_a_gap_are_bridged():
     motion = navigate(claim[kept])
     assert motion.unseen == [17]
     assert slant(motion.apply(claim[kept]), true[kept]) < 0.5 * slant(claim[kept], true[kept])
+
+
+def test_long_lines_join():
+    """Of 800 pings in one solution the first 100 move from ping to ping as they do alone."""
+    _, claim, _ = small()
+    track = pysas.tracks.straight(800, 0.2)
+    long = pysas.Echoes(
+        np.tile(np.asarray(claim.data), (40, 1, 1)), fs=claim.fs, fc=claim.fc, t0=claim.t0, bandwidth=claim.bandwidth,
+        ping_time=track.time, **motion_scenes.arms(track, 12),
+    )  # fmt: skip
+    whole, part = navigate(long, iterations=1), navigate(long[:100], iterations=1)
+    joints = np.arange(19, 799, 20)
+    assert whole.unseen == joints.tolist()
+    seen = np.setdiff1d(np.arange(99), joints)
+    for name, column in (("heave", 2), ("yaw", 3)):  # weakly held to the claim, whose mean over either differs
+        change = np.diff(getattr(whole, name)[:100]) - np.diff(getattr(part, name))
+        assert np.all(np.abs(change[seen]) < 0.5 * np.median(part.sigma[:, column]))
+    assert np.all(np.isfinite(whole.track_sigma)) and whole.track_sigma.max() < 0.1
 
 
 # Nothing to go by

@@ -38,7 +38,7 @@ class Motion:
     slips : list of int
         Pings from which to the next the phase of the windows and the envelope disagree by half a wavelength or more.
     unseen : list of int
-        Pings from which to the next nothing was correlated: the claimed track joins them.
+        Pings from which to the next nothing was correlated: the prior joins them, or motion as before and after.
     found : bool
         Whether there was something to go by. False: all corrections are 0.
     why : str
@@ -119,7 +119,8 @@ class Motion:
             "this one",
         ]
         if self.unseen:
-            lines.append(f"  unseen     {_listed(self.unseen)}: nothing correlates from there to the next ping: as claimed")
+            joined = "nothing correlates from there to the next ping: joined by the prior, or by motion as before and after"
+            lines.append(f"  unseen     {_listed(self.unseen)}: {joined}")
         if self.slips:
             lines.append(f"  slips      {_listed(self.slips)}: phase and envelope disagree from there to the next ping")
         return "\n".join(lines)
