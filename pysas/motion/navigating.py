@@ -14,7 +14,7 @@ from pysas.motion.concluding import Solution, conclude
 from pysas.motion.found import Motion, applied
 from pysas.motion.measuring import Measured, measure, missed
 from pysas.motion.moving import VELOCITIES, centres, times
-from pysas.motion.phase_centres import Side
+from pysas.motion.phase_centres import Side, axes, centre_step
 from pysas.motion.priors import Prior
 from pysas.motion.solution import Beliefs, Equations
 
@@ -65,7 +65,8 @@ def micronavigate(
     progress : callable, optional
         Called with the fraction done now and then.
     elements : (float, float), optional
-        Along-track lengths of the transmitter and of one receiver, m. Default: the beam's `length` for both.
+        Along-track lengths of the transmitter and of one receiver, m: the two-way beam's middle lies between them as their
+        squares say. Default: the beam's `length` for both, but for receivers at most their spacing.
 
     Returns
     -------
@@ -144,9 +145,9 @@ def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
 
 def _lengths(echoes: Echoes, elements: tuple[float, float] | None) -> tuple[float, float]:
     if elements is None:
-        if echoes.beam is None:
-            raise _checks.InternalError("beam: none")
-        return echoes.beam.length, echoes.beam.length
+        _, forward = axes(echoes)  # which a beam is needed for
+        length = echoes.beam.length if echoes.beam is not None else 0.0
+        return length, min(length, 2 * centre_step(echoes, forward))
     send, hear = _checks.reals("elements", elements, [(2,)])
     return _checks.number("elements", float(send), positive=True), _checks.number("elements", float(hear), positive=True)
 
