@@ -230,7 +230,7 @@ def test_a_true_track_stays(seed):
 
 
 def test_coordinates_do_not_matter():
-    """Turned, far away, z up; a cone; speeds and starts a ping; trailing zeros of threads."""
+    """Turned, far away, z up; a cone; speeds and starts a ping; one thread or two, to the last bit."""
     _, claim, _ = small()
     plain = navigate(claim)
     for angle, shift in ((2.0, (5e5, 4e6, 0.0)), (-np.pi / 2, (0.0, 0.0, 0.0))):
@@ -242,7 +242,8 @@ def test_coordinates_do_not_matter():
     for name in ("sway", "heave", "yaw"):
         assert_allclose(getattr(other, name), -getattr(plain, name), atol=1e-6)
     cone = claim.replace(beam=pysas.Beam(claim.beam.boresight, 0.1, 0.15, shape="cone"))
-    assert_allclose(navigate(cone, threads=1).shift, plain.shift, atol=1e-9)
+    assert_allclose(navigate(cone).shift, plain.shift, atol=1e-9)
+    assert np.array_equal(navigate(claim, threads=1).shift, navigate(claim, threads=2).shift)
     each = claim.replace(c=np.full(20, 1500.0), t0=np.full(20, float(claim.t0)))
     assert_allclose(navigate(each).shift, plain.shift, atol=1e-9)
 
@@ -452,6 +453,11 @@ def test_what_cannot_be_is_named():
         navigate(claim[:1])
     with pytest.raises(ValueError, match="compressed=False"):
         navigate(claim.replace(compressed=False))
+    data = np.array(claim.data)
+    data[7, 2, 5] = np.nan
+    with pytest.raises(ValueError, match="non-finite sample at ping 7, channel 2"):
+        navigate(claim.replace(data=data))
+    assert navigate(claim.replace(data=data, valid=np.tile([6, claim.n_sample - 1], (20, 1)))).found
     with pytest.raises(ValueError, match="fewer than two phase centres of pings 0 and 1 overlap"):
         navigate(claim.channels(slice(0, 5)))
     with pytest.raises(ValueError, match="no phase centres of pings 0 and 1 overlap"):

@@ -131,6 +131,33 @@ def test_overlap_rules(overlap, most):
     assert worst(f"20 pings, K = {overlap}: claimed mm, found mm", rows)[1] < most
 
 
+@pytest.mark.parametrize(
+    ("name", "most", "more"),
+    [
+        ("advance half a step off", 0.25, {"advance": 8.5 * 0.025}),
+        ("seabed slopes by 10 %", 0.3, {"slope": 0.1}),
+        ("40 to 90 m", 0.15, {"swath": (40.0, 90.0)}),
+    ],
+)
+def test_other_lines(name, most, more):
+    rows = []
+    for seed in SEEDS:
+        true, claim, _ = scene(pings=20, seed=seed, **more)
+        rows.append((slant(claim, true, 45.0), slant(navigate(claim).apply(claim), true, 45.0)))
+    assert worst(f"20 pings, {name}: claimed mm, found mm", rows)[1] < most
+
+
+def test_no_overlapping_centre_and_an_inertial_system():
+    """K = 0: the nearest phase centres lie 25 mm apart, with a coherence of 0.6."""
+    rows = []
+    for seed in SEEDS:
+        true, _, truth = scene(pings=40, overlap=0, snr_db=20.0, seed=seed)
+        claim = motion_scenes.claimed(true, pysas.tracks.inertial(truth.track, seed=seed))
+        motion = navigate(claim, prior=Prior(speed=6e-3, gyro=1e-5, depth=5e-4))
+        rows.append((slant(claim, true), slant(motion.apply(claim), true)))
+    assert worst("40 pings, K = 0, INS: claimed mm, found mm", rows)[1] < 0.6
+
+
 @pytest.mark.parametrize(("snr_db", "most"), [(10.0, 0.8), (5.0, 1.2), (0.0, 3.0)])
 def test_noise(snr_db, most):
     rows = []

@@ -15,7 +15,7 @@ from pysas.motion.phase_centres import Side
 from pysas.motion.solution import Equations, gauge, without_gauge
 
 _STILL = 0.1  # of the claimed way
-_WRONG, _UNLIKE = 2.0, 3.0  # standard deviations that are left of echoes (4 at most), and of a prior: neither tells the truth
+_WRONG, _UNLIKE = 2.5, 3.0  # standard deviations that are left of echoes (4 at most), and of a prior: neither tells the truth
 
 
 @dataclass(eq=False)
@@ -46,15 +46,16 @@ def conclude(
     turn = np.zeros((len(track) - 1, 4, 4))
     turn[:, 0, :2], turn[:, 1, :2], turn[:, 2, 2], turn[:, 3, 3] = forward[1:, :2], across[1:], 1, 1
     variance = np.einsum("pik,pkl,pil->pi", turn, np.linalg.inv(solution.relative), turn)
-    sigma = np.sqrt(np.concatenate([variance[:1], variance]))
+    scale = max(1.0, float(solution.residual[0]))  # echoes that leave more over than they should are less sure than they say
+    sigma = scale * np.sqrt(np.concatenate([variance[:1], variance]))
     looks = measured[0].looks[:, measured[0].looks.shape[1] // 2]
     looks = np.concatenate([looks, looks[-1:]])
     sure = solution.equations.part(0, len(track)).slant_variance(looks, gauge(looks, pivot))
     slant = np.sum(looks * track[:, :3], axis=1)
-    loss = _losses(claim[0], looks, pivot, slant, solution.equations)
+    loss = _losses(claim[0], looks, pivot, slant, solution.equations) * [1.0, scale**2]
     surge, sway = (np.sum(track[:, :2] * d[:, :2], axis=1) for d in (forward, across))
     return Motion(
-        track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, np.sqrt(np.clip(sure, 0, None)), coherence, overlap,
+        track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, scale * np.sqrt(np.clip(sure, 0, None)), coherence, overlap,
         solution.residual, np.flatnonzero(slips).tolist(), np.flatnonzero(~seen).tolist(), found,
         why or f"{np.sum(seen)} of {len(seen)} pairs of pings correlate", pivot, loss,
     )  # fmt: skip

@@ -25,7 +25,7 @@ class Motion:
         The shift along the claimed forward direction, 90 degrees from it towards +90 degrees about z, and along z, m.
     sigma : (ping, 4)
         Standard deviations of the changes of surge, sway, heave (m) and yaw (rad) from the ping before; the first ping's repeat
-        the second's.
+        the second's. Multiplied, as `track_sigma` is, by residual[0] where that is above 1.
     track_sigma : (ping,)
         Standard deviation of the track along the line of sight to the swath's middle, a shift and a turn of the whole
         removed, m.

@@ -137,10 +137,23 @@ def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
             raise ValueError(f"echoes: sides of {sides[0].n_ping} and {one.n_ping} pings: expected the same pings")
         if one.n_ping < 2:
             raise ValueError("echoes: one ping: expected at least two, of which a later one is compared with one before it")
+        _require_finite(one)
         for ping in range(1, one.n_ping):
             if np.array_equal(one.traces[ping, 0], one.traces[ping - 1, 0]) and np.any(one.traces[ping, 0]):
                 raise ValueError(f"echoes: ping {ping} repeats the samples of ping {ping - 1}: expected noise of its own")
     return sides
+
+
+def _require_finite(echoes: Echoes) -> None:
+    at = np.arange(echoes.n_sample)
+    for ping, traces in enumerate(echoes.traces):
+        bad = ~np.isfinite(traces)
+        if bad.any():
+            first, last = echoes.windows[ping].T
+            bad &= (at >= first[:, None]) & (at <= last[:, None])
+            if bad.any():
+                where = f"ping {ping}, channel {int(np.argmax(bad.any(axis=1)))}"
+                raise ValueError(f"echoes: non-finite sample at {where}: expected finite ones, or compress(raw, nan='mask')")
 
 
 def _lengths(echoes: Echoes, elements: tuple[float, float] | None) -> tuple[float, float]:
