@@ -393,6 +393,16 @@ def test_long_lines_join():
 # Nothing to go by
 
 
+def test_bright_points_do_not_stand_in_for_an_overlap():
+    """Arrays that lie four steps apart where the claim, which sails half as far, lets eight phase centres overlap: what
+    correlates are three targets, a little whatever the separation."""
+    for seed in (1, 2, 3):
+        places = ((-1.0, 22.0), (0.0, 25.0), (1.0, 28.0))
+        _, claim, truth = scene(pings=12, overlap=-4, swath=(20.0, 32.0), targets=places, seed=seed)
+        track = dataclasses.replace(truth.claim, position=truth.claim.position * [0.5, 1.0, 1.0])
+        unchanged(motion_scenes.claimed(claim, track), "pings 0 and 1 and the following ones correlate as little")
+
+
 def test_the_recorder_s_points_are_no_seabed(data_dir):
     """Six points, which a third of the pings see, and noise: nothing is found, whatever the windows, and the track stays."""
     folder = data_dir / "recorder"

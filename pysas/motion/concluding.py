@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.motion.found import Motion
-from pysas.motion.measuring import Measured
+from pysas.motion.measuring import Measured, Sought
 from pysas.motion.phase_centres import Side
 from pysas.motion.solution import Equations, gauge, without_gauge
 
@@ -31,13 +31,14 @@ class Solution:
 
 
 def conclude(
-    solution: Solution, track: FloatArray, claim: list[Side], measured: list[Measured], overlap: FloatArray, pivot: FloatArray
-) -> Motion:
+    solution: Solution, sought: Sought, track: FloatArray, claim: list[Side], measured: list[Measured], overlap: FloatArray,
+    pivot: FloatArray,
+) -> Motion:  # fmt: skip
     """What is told of a track (ping, 4) beyond the claimed one, 0 where nothing was found."""
     seen = np.any([one.seen for one in measured], axis=0)
     slips = np.any([one.slip for one in measured], axis=0)
     coherence = np.max([one.coherence for one in measured], axis=0)
-    why = _wanting(solution, claim[0], pivot, seen, coherence, track)
+    why = _wanting(solution, sought, claim[0], pivot, seen, coherence, track)
     found = why is None
     if not found:
         track = np.zeros_like(track)
@@ -62,8 +63,9 @@ def conclude(
 
 
 def _wanting(
-    solution: Solution, side: Side, pivot: FloatArray, seen: npt.NDArray[np.bool_], coherence: FloatArray, track: FloatArray
-) -> str | None:
+    solution: Solution, sought: Sought, side: Side, pivot: FloatArray, seen: npt.NDArray[np.bool_], coherence: FloatArray,
+    track: FloatArray,
+) -> str | None:  # fmt: skip
     """Why a solution is no track, or None."""
     if np.mean(seen) <= 0.5:
         ping = int(np.argmin(seen))
@@ -71,9 +73,13 @@ def _wanting(
             f"{np.sum(~seen)} of {len(seen)} pairs of pings do not correlate, the first of them pings {ping} and {ping + 1} "
             f"(coherence {coherence[ping]:.2f}): noise, no seabed, or a claimed track whose advance is wrong"
         )
-    still = np.linalg.norm(np.diff(pivot + track[:, :3], axis=0), axis=1) < _STILL * np.linalg.norm(
-        np.diff(pivot, axis=0), axis=1
-    )
+    if not sought.distinct:
+        return (
+            f"pings 0 and 1 and the following ones correlate as little (coherence {np.sqrt(sought.strength):.2f} at most) at "
+            f"one separation of phase centres as at others ({np.sqrt(sought.typical):.2f}): bright points or noise, and no overlap"
+        )
+    way, claimed = (np.linalg.norm(np.diff(place, axis=0), axis=1) for place in (pivot + track[:, :3], pivot))
+    still = way < _STILL * claimed
     if np.mean(still) > 0.5:
         ping = int(np.argmax(still))
         return (

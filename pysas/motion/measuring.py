@@ -60,12 +60,26 @@ def measure(side: Side, size: float, first: bool, lags: int, tol: float, threads
     return Measured(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Measured)))
 
 
-def missed(side: Side, size: float, tol: float, threads: int | None) -> float:
-    """Separation, m, of the phase centres that coincide, where those are not that the claimed advance brings together: of a few
-    pings, between all channels."""
+@dataclass(frozen=True)
+class Sought:
+    """Of a few pings, between all channels: the separation of phase centres (m) that coincide where the claimed advance brings
+    others together, else 0; the largest mean square of coherence, and what it typically is at separations far from there."""
+
+    missed: float
+    strength: float
+    typical: float
+
+    @property
+    def distinct(self) -> bool:
+        """Whether pings saw the same from the same place: bright points alone correlate a little whatever the separation."""
+        return self.strength > _LEAST or self.strength > 2 * self.typical
+
+
+def seek(side: Side, size: float, tol: float, threads: int | None) -> Sought:
+    """Look for the separation at which pings have most in common."""
     tried = np.unique(np.linspace(0, side.echoes.n_ping - 2, _TRIED).astype(int))
     numbers = np.arange(1 - side.echoes.n_channel, side.echoes.n_channel)
-    strength, place, times_ = np.zeros(len(numbers)), np.zeros(len(numbers)), np.zeros(len(numbers))
+    strength, place, count = np.zeros(len(numbers)), np.zeros(len(numbers)), np.zeros(len(numbers))
     fine, filters = _lags(True, FIRST_REACH, side.echoes)
     for ping in tried:
         rows = side.measure(ping, ping + 1, size, FIRST_REACH, side.echoes.n_channel - 1, tol, threads)
@@ -74,13 +88,15 @@ def missed(side: Side, size: float, tol: float, threads: int | None) -> float:
             if of.any():
                 strength[k] += np.max(np.mean(np.abs(rows.products[0, of] @ filters) ** 2, axis=(0, 1)))
                 place[k] += np.mean(rows.separation[0, of])
-                times_[k] += 1
-    strength /= np.maximum(times_, 1)
-    best = int(np.argmax(np.where(2 * times_ > len(tried), strength, 0)))
+                count[k] += 1
+    strength /= np.maximum(count, 1)
+    often = 2 * count > len(tried)
+    best = int(np.argmax(np.where(often, strength, 0)))
+    far = often & (np.abs(numbers - numbers[best]) > 2)
+    typical = float(np.median(strength[far])) if np.sum(far) > 2 else _LEAST / 2
     near = float(np.max(strength[np.abs(numbers) <= 1]))
-    if abs(numbers[best]) <= 1 or strength[best] < max(_DISTINCT * near, _LEAST**2):
-        return 0.0
-    return float(place[best] / times_[best])
+    there = abs(numbers[best]) > 1 and strength[best] > max(_DISTINCT * near, _LEAST**2)
+    return Sought(float(place[best] / count[best]) if there else 0.0, float(strength[best]), typical)
 
 
 def _lags(first: bool, reach: int, echoes: Echoes) -> tuple[FloatArray, ComplexArray]:

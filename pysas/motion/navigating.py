@@ -12,7 +12,7 @@ from pysas.model.echoes import Echoes
 from pysas.motion import correlating
 from pysas.motion.concluding import Solution, conclude
 from pysas.motion.found import Motion, applied
-from pysas.motion.measuring import Measured, measure, missed
+from pysas.motion.measuring import Measured, measure, seek
 from pysas.motion.moving import VELOCITIES, centres, times
 from pysas.motion.phase_centres import Side, axes, centre_step
 from pysas.motion.priors import Prior
@@ -103,9 +103,9 @@ def micronavigate(
     _require_overlap(overlap, prior)
     way = np.linalg.norm(np.diff(pivot, axis=0), axis=1)
     start = np.zeros((len(pivot), 4))
+    sought = max((seek(side, windows, tol, threads) for side in claim), key=lambda found: found.strength)
     if prior.speed is None:
-        behind = missed(claim[0], windows, tol, threads)
-        start[1:, :2] = -behind * np.cumsum(claim[0].ahead(0, len(way))[:, :2], axis=0)
+        start[1:, :2] = -sought.missed * np.cumsum(claim[0].ahead(0, len(way))[:, :2], axis=0)
         start -= start.mean(axis=0)
     track, views = start, claim
     for number in range(iterations):
@@ -121,7 +121,7 @@ def micronavigate(
             break
         if progress is not None:
             progress((number + 1) / iterations)
-    return conclude(solution, track, claim, measured, overlap, pivot)
+    return conclude(solution, sought, track, claim, measured, overlap, pivot)
 
 
 def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
