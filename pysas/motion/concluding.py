@@ -10,10 +10,11 @@ import numpy.typing as npt
 from pysas import _checks
 from pysas._checks import FloatArray
 from pysas.motion.found import Motion
-from pysas.motion.measuring import Measured, Sought
+from pysas.motion.measuring import LEAST, Measured, Sought
 from pysas.motion.phase_centres import Side
 from pysas.motion.solution import Equations, gauge, without_gauge
 
+_DOUBT = 1.0  # dB
 _STILL = 0.1  # of the claimed way
 _WRONG, _UNLIKE = 2.5, 3.0  # standard deviations that are left of echoes (4 at most), and of a prior: neither tells the truth
 
@@ -38,10 +39,6 @@ def conclude(
     seen = np.any([one.seen for one in measured], axis=0)
     slips = np.any([one.slip for one in measured], axis=0)
     coherence = np.max([one.coherence for one in measured], axis=0)
-    why = _wanting(solution, sought, claim[0], pivot, seen, coherence, track)
-    found = why is None
-    if not found:
-        track = np.zeros_like(track)
     forward = claim[0].forward
     across = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
     turn = np.zeros((len(track) - 1, 4, 4))
@@ -52,13 +49,18 @@ def conclude(
     looks = measured[0].looks[:, measured[0].looks.shape[1] // 2]
     looks = np.concatenate([looks, looks[-1:]])
     sure = solution.equations.part(0, len(track)).slant_variance(looks, gauge(looks, pivot))
-    slant = np.sum(looks * track[:, :3], axis=1)
-    loss = _losses(claim[0], looks, pivot, slant, solution.equations) * [1.0, scale**2]
+    change, doubt = _losses(claim[0], looks, pivot, np.sum(looks * track[:, :3], axis=1), solution.equations) * [1.0, scale**2]
+    why = _wanting(solution, sought, claim[0], pivot, seen, coherence, track)
+    if why is None and doubt > max(_DOUBT, change):
+        why = f"what was found would cost an image {doubt:.2g} dB by its own uncertainty, more than it mends"
+    found = why is None
+    if not found:
+        track = np.zeros_like(track)
     surge, sway = (np.sum(track[:, :2] * d[:, :2], axis=1) for d in (forward, across))
     return Motion(
         track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, scale * np.sqrt(np.clip(sure, 0, None)), coherence, overlap,
         solution.residual, np.flatnonzero(slips).tolist(), np.flatnonzero(~seen).tolist(), found,
-        why or f"{np.sum(seen)} of {len(seen)} pairs of pings correlate", pivot, loss,
+        why or f"{np.sum(seen)} of {len(seen)} pairs of pings correlate", pivot, np.array([change + doubt, doubt]),
     )  # fmt: skip
 
 
@@ -76,8 +78,11 @@ def _wanting(
     if not sought.distinct:
         return (
             f"pings 0 and 1 and the following ones correlate as little (coherence {np.sqrt(sought.strength):.2f} at most) at "
-            f"one separation of phase centres as at others ({np.sqrt(sought.typical):.2f}): bright points or noise, and no overlap"
+            f"one separation of phase centres as at others ({np.sqrt(sought.typical):.2f}): bright points or noise, no "
+            "overlap"
         )
+    if np.median(coherence) < LEAST:
+        return f"pings correlate too little: coherence {np.median(coherence):.2f}, expected {LEAST:g} and more: noise"
     way, claimed = (np.linalg.norm(np.diff(place, axis=0), axis=1) for place in (pivot + track[:, :3], pivot))
     still = way < _STILL * claimed
     if np.mean(still) > 0.5:
@@ -96,7 +101,7 @@ def _wanting(
 
 
 def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray, equations: Equations) -> FloatArray:
-    """dB of an image's peaks that the claimed track and the found one cost, over one aperture: 4.34 (4 pi fc/c sigma)^2."""
+    """dB of an image's peaks that a correction and its uncertainty are worth over one aperture: 4.34 (4 pi fc/c sigma)^2."""
     echoes, beam = side.echoes, side.echoes.beam
     if beam is None:
         raise _checks.InternalError("beam: none")
@@ -109,4 +114,4 @@ def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray,
     some = parts[len(parts) // 2]
     after = np.mean(equations.part(some.start, some.stop).slant_variance(looks[some], gauge(looks[some], pivot[some])))
     turns = 4 * np.pi * echoes.fc / echoes.mean_speed
-    return np.asarray(4.34 * turns**2 * np.clip([before + after, after], 0, None))
+    return np.asarray(4.34 * turns**2 * np.clip([before, after], 0, None))

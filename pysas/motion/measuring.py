@@ -14,7 +14,7 @@ from pysas.motion.surging import mean_square_sine, surges
 
 FIRST_REACH, REACH = 6, 3  # lags read on either side, samples: an arrival is looked for within FIRST_REACH/2, then within 1
 _FINER = 8  # lags looked at per sample
-_LEAST = 0.3  # coherence of a window that counts
+LEAST = 0.3  # coherence of a window that counts, and of most pings
 _FLOOR = 2e-3  # rad: phases are never better known
 _TRIED, _DISTINCT = 16, 1.5  # pings between all of whose channels is looked; how much stronger a missed separation must be
 _BESIDE = 0.2  # steps of the phase centres by which separations that count may lie farther from 0 than the nearest
@@ -72,7 +72,7 @@ class Sought:
     @property
     def distinct(self) -> bool:
         """Whether pings saw the same from the same place: bright points alone correlate a little whatever the separation."""
-        return self.strength > _LEAST or self.strength > 2 * self.typical
+        return self.strength > LEAST or self.strength > 2 * self.typical
 
 
 def seek(side: Side, size: float, tol: float, threads: int | None) -> Sought:
@@ -93,9 +93,9 @@ def seek(side: Side, size: float, tol: float, threads: int | None) -> Sought:
     often = 2 * count > len(tried)
     best = int(np.argmax(np.where(often, strength, 0)))
     far = often & (np.abs(numbers - numbers[best]) > 2)
-    typical = float(np.median(strength[far])) if np.sum(far) > 2 else _LEAST / 2
+    typical = float(np.median(strength[far])) if np.sum(far) > 2 else LEAST / 2
     near = float(np.max(strength[np.abs(numbers) <= 1]))
-    there = abs(numbers[best]) > 1 and strength[best] > max(_DISTINCT * near, _LEAST**2)
+    there = abs(numbers[best]) > 1 and strength[best] > max(_DISTINCT * near, LEAST**2)
     return Sought(float(place[best] / count[best]) if there else 0.0, float(strength[best]), typical)
 
 
@@ -136,7 +136,7 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> Measured:
     # separations farther from 0 than the nearest are false where a bright point draws the beam's middle off boresight
     off = np.where(rows.used, np.abs(rows.separation), np.inf)
     near = off <= off.min(axis=1, keepdims=True) + _BESIDE * side.step
-    good = (squared > _LEAST**2) & near[..., None]
+    good = (squared > LEAST**2) & near[..., None]
     noise = np.sqrt(np.clip(1 - squared, 0, None) / (2 * np.maximum(number * squared, 1e-9)) + _FLOOR**2)
     sigma = np.where(good, noise * wavelength[..., None] / (4 * np.pi), 0.0)
     whole = np.sum(number, axis=2)
