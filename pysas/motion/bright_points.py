@@ -35,6 +35,7 @@ ALIKE = 0.02  # nats of the cost's mean: a step that raises it by no more is gon
 STIFF = 3.0  # ties of a ping to the ping before, beside those to 0
 CAUCHY = 4.0  # standard deviations
 LEAST_SIGMA = 1e-6  # m
+LEAST_POWER = 1e-300  # what powers are divided by, if they are 0
 REWEIGHTED = 6  # times
 WINDOWS = (0.0, 1.0, 2.0, 4.0, 8.0)  # pings: standard deviations of what smooths slices along pings, of which the best is kept
 NARROW = 3.0  # cells: half of what a slice holds once a first solution has brought the points near their places
@@ -137,8 +138,8 @@ def delays(first: ComplexArray, second: ComplexArray, step: float, k: FloatArray
     best = np.argmax(np.abs(correlation), axis=1)
     at = correlation[np.arange(len(first)), best]
     metres = step / FINER * np.where(best >= n * FINER, best - size * FINER, best)
-    energy = np.sqrt(np.sum(np.abs(first) ** 2, axis=1) * np.sum(np.abs(second) ** 2, axis=1))
-    return metres - np.angle(at * np.exp(1j * k * metres)) / k, np.abs(at) / np.maximum(energy, 1e-300)
+    one, other = (np.sum(np.abs(row).astype(np.float64) ** 2, axis=1) for row in (first, second))
+    return metres - np.angle(at * np.exp(1j * k * metres)) / k, np.abs(at) / np.maximum(np.sqrt(one * other), LEAST_POWER)
 
 
 def pair_rows(one: Slices, number: int, k: FloatArray, unknowns: Unknowns, width: float, reach: float) -> Rows:
@@ -150,7 +151,7 @@ def pair_rows(one: Slices, number: int, k: FloatArray, unknowns: Unknowns, width
     early = np.flatnonzero(np.diff(one.pings) == 1)
     p = one.pings[early]
     farther, coherence = delays(data[early], data[early + 1], one.lags[1] - one.lags[0], k[p])
-    peak = np.max(np.abs(data), axis=1)
+    peak = np.max(np.abs(data), axis=1).astype(np.float64)
     before, after = one.look[early], one.look[early + 1]
     entries = []
     for c, way in enumerate(unknowns.ways):
@@ -183,7 +184,7 @@ def slope_rows(one: Slices, number: int, k: FloatArray, unknowns: Unknowns) -> R
 
 
 def _relative(strength: FloatArray) -> FloatArray:
-    return np.asarray(strength / max(float(np.max(strength, initial=0.0)), 1e-300))
+    return np.asarray(strength.astype(np.float64) / max(float(np.max(strength, initial=0.0)), LEAST_POWER))
 
 
 def solved(rows: Sequence[Rows], ties: Any) -> tuple[FloatArray, float]:

@@ -47,6 +47,7 @@ FIRST_HARMONICS = (4, 8, 16, 32)  # before the highest asked for
 PASSES = 3  # over one set of knots
 STEPS = 60  # of the minimiser
 PRIOR = 1 / 500  # weight of the prior beside costs of order one: about one over a point's energy beside its image's noise
+DAMPING = 1e-5  # of a ping's phase, rad^2, in one step, beside a patch's cost: pings that hardly see a point stay
 BASIN = 0.25  # wavelengths: phases do not tell a correction beyond from another by whole turns
 STILL = 1e-3  # wavelengths: a step that moves no ping farther ends a set of knots
 
@@ -162,6 +163,8 @@ def minimised(
             value += one
             pull[patch.pings] += slope
         along = np.stack([np.sum(pull * way, axis=1) for way in basis.directions])
+        tie = DAMPING * len(kept) / scale**2
+        value, along = value + tie / 2 * float(np.sum(series**2)), along + tie * series
         if prior is not None:
             more, bend = prior(series + sofar)
             value, along = value + more, along + bend

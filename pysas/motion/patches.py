@@ -29,6 +29,7 @@ MARGIN = 2.0  # spacing of pixels below that of Nyquist: sums of |I|^4 depend on
 MOST = 32  # patches
 FALSE_ALARM = 1e-3  # chance that an image of developed speckle has any bright point
 DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest one's: what lies below is taken for its side lobes
+MEDIANS = 1.25  # allows for what medians over a tile err by
 TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-3  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
@@ -167,14 +168,14 @@ def detect(image: ComplexArray, grid: Grid, apart: float, most: int = MOST) -> D
 
     Clutter is taken for developed speckle, whose power is exponential about a mean that medians over tiles of TILE x TILE
     pixels tell. The largest of n independent pixels exceeds mean (ln n + ln 1/p) with a chance p: FALSE_ALARM. Bright points
-    exceed that, are the largest within `apart` of them, and lie at most 18 dB below the brightest. Where there are more than
-    `most`, those that are farther apart are taken first.
+    exceed that by MEDIANS, are the largest within `apart` of them, and lie at most 18 dB below the brightest. Where there are
+    more than `most`, those that are farther apart are taken first.
     """
     magnitude = np.abs(image).astype(np.float64)
     power = magnitude**2
     lit = power > 0
     count = int(np.count_nonzero(lit))
-    threshold = np.log(max(count, 1)) + np.log(1 / FALSE_ALARM)
+    threshold = MEDIANS * (np.log(max(count, 1)) + np.log(1 / FALSE_ALARM))
     if count == 0:
         return Detection(np.zeros((0, 3)), 0.0, -np.inf, 10 * np.log10(threshold))
     total = float(power.sum())
@@ -203,19 +204,20 @@ def spread(places: FloatArray, apart: float, most: int = MOST) -> list[int]:
     for distance in (4 * apart, 2 * apart, apart):
         for one in peaks:
             if len(chosen) == most:
-                return chosen
+                return sorted(chosen)
             near = np.linalg.norm(places[chosen] - places[one], axis=1) if chosen else np.array([np.inf])
             if one not in chosen and near.min() > distance * (1 - 1e-12):
                 chosen.append(one)
-    return chosen
+    return sorted(chosen)
 
 
 def _clutter(power: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
-    """Mean power of the clutter about each pixel, from medians (ln 2 of an exponential's mean)."""
+    """Mean power of the clutter about each pixel, from medians over tiles (ln 2 of an exponential's mean), between whose
+    middles, and beyond, decibels go in straight lines."""
     overall = float(np.median(power[lit]))
     if power.ndim != 2 or min(power.shape) < 2 * TILE:
         return np.full(power.shape, overall / np.log(2))
-    counts = [max(1, round(n / TILE)) for n in power.shape]
+    counts = [n // TILE for n in power.shape]
     edges = [np.linspace(0, n, k + 1).astype(int) for n, k in zip(power.shape, counts, strict=True)]
     level = np.full(counts, overall)
     for i, j in np.ndindex(*counts):
@@ -223,9 +225,18 @@ def _clutter(power: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
         inside = power[tile][lit[tile]]
         if inside.size > TILE:
             level[i, j] = np.median(inside)
-    at = [(np.arange(n) + 0.5) * k / n - 0.5 for n, k in zip(power.shape, counts, strict=True)]
-    smooth = scipy.ndimage.map_coordinates(level, np.meshgrid(*at, indexing="ij"), order=1, mode="nearest")
-    return np.asarray(np.maximum(smooth, 1e-300) / np.log(2))
+    rows, columns = (_between(n, k) for n, k in zip(power.shape, counts, strict=True))
+    return np.asarray(np.exp(rows @ np.log(level) @ columns.T) / np.log(2))
+
+
+def _between(size: int, count: int) -> FloatArray:
+    """(size, count) weights of straight lines through the middles of `count` tiles."""
+    at = (np.arange(size) + 0.5) * count / size - 0.5
+    first = np.clip(np.floor(at).astype(int), 0, count - 2)
+    weights = np.zeros((size, count))
+    weights[np.arange(size), first] = 1 - (at - first)
+    weights[np.arange(size), first + 1] = at - first
+    return weights
 
 
 def steps_of(echoes: Echoes, point: FloatArray, pings: Int, energy: FloatArray) -> FloatArray:
@@ -435,6 +446,8 @@ def require(
     way = np.linalg.norm(np.diff(centres(echoes), axis=0), axis=1)
     if not way.any():
         raise ValueError("echoes: all pings are at one place: expected a track that moves")
+    if all(np.array_equal(ping, echoes.data[0]) for ping in echoes.data[1:]):
+        raise ValueError("echoes: all pings hold the same samples: expected those of a track that moves")
     return names
 
 
@@ -450,7 +463,7 @@ def emptiness(detection: Detection) -> str:
 
 def share_seen(patches: Sequence[Patch], n_ping: int) -> float:
     """Of the pings, that see at least one patch."""
-    return seen_by(patches).shape[0] / n_ping if patches else 0.0
+    return len(seen_by(patches)) / n_ping if patches else 0.0
 
 
 def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detection:
