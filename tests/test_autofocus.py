@@ -15,6 +15,7 @@ from pysas.motion import focusing, patches
 from pysas.motion.moving import moved
 
 SEEDS = (1, 2, 3)
+HARD = [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -65,7 +66,7 @@ def test_the_prior_knows_its_derivative() -> None:
         assert (prior(near[1])[0] - prior(near[0])[0]) / 2e-7 == pytest.approx(pull[c, p], rel=1e-6)
 
 
-@pytest.mark.parametrize("metric", ["entropy", "sharpness"])
+@pytest.mark.parametrize("metric", ["entropy", pytest.param("sharpness", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_points_seen_by_one_element(seed: int, metric: str) -> None:
     """Sway of 3 mm rms: 0.1 mm and 0.1 dB."""
@@ -82,14 +83,14 @@ def test_points_seen_by_one_element(seed: int, metric: str) -> None:
         assert word in str(report)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", HARD)
 def test_a_right_track_stays_right(seed: int) -> None:
     true, _, _ = scene(seed, points=4, above_db=24)
     fixed, _ = pysas.autofocus(true, GRID)
     assert slant_error(fixed, true) < 0.1e-3
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", HARD)
 def test_developed_speckle_says_nothing(seed: int) -> None:
     claim, grid = speckle(seed)
     for fixed, report in (pysas.autofocus(claim, grid), pysas.align_points(claim, grid)):
@@ -99,7 +100,7 @@ def test_developed_speckle_says_nothing(seed: int) -> None:
         assert report.contrast == pytest.approx(2, abs=0.2)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", HARD)
 def test_an_error_beyond_the_basin_is_left_alone(seed: int) -> None:
     """20 mm rms of sway: phases alone would lead astray; align_points finds it."""
     _, claim, _ = scene(seed, 0.02)
@@ -108,7 +109,7 @@ def test_an_error_beyond_the_basin_is_left_alone(seed: int) -> None:
     assert "align_points" in report.why
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", HARD)
 def test_after_micronavigation(seed: int) -> None:
     """An array's track whose heading wanders by 125 urad a ping, as micronavigation leaves it: 0.5 mm, 0.25 dB."""
     true, _, truth = array_scene(density=10.0, snr_db=20.0, seed=seed)
@@ -126,7 +127,7 @@ def test_after_micronavigation(seed: int) -> None:
     assert loss(fixed, true, truth.targets) < 0.25
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", HARD)
 def test_a_circle(data_dir: Path, seed: int) -> None:
     """1 mm rms of radial error, harmonics 2 to 9: 0.05 mm, 0.05 dB, the targets in place."""
     true, claim, points, grid = circle(data_dir, seed, 1e-3)

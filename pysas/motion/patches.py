@@ -34,7 +34,7 @@ TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-3  # energy of a ping beside the strongest one's below which it does not see a point
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 
-EMPTIED = 0.5  # of a patch's energy: one that keeps less held another point's side lobes
+EMPTIED = 0.5  # of a patch's energy: one that keeps less may have held another point's side lobes
 LEAST_GAIN = 0.01  # nats, about 0.05 dB of a peak
 COVERED = 0.9  # of the pings of such a patch are seen by those that count
 METRICS = ("entropy", "sharpness")
@@ -342,29 +342,42 @@ def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) 
     """Compare patches with one track and with another.
 
     The cost of every patch has to fall, and their mean by LEAST_GAIN, as clutter alone lets it fall a little with any track
-    that is fitted to it. Only a patch that held side lobes of a smeared point elsewhere does not count: it has lost half its
-    energy or more, those that count are at least half of all, and they are seen by the pings that it was seen by.
+    that is fitted to it. Only a patch that held side lobes of a smeared point elsewhere does not count (`_emptied`), if those
+    that count are at least half of all, and are seen by the pings that it was seen by.
     """
+    if not before:
+        return Verdict(False, [], "no bright points")
     old = costs(before, metric)
-    counted, empty, rising = [], [], 0
-    for number, patch in enumerate(after):
-        if patch is None or energy_of(patch) < EMPTIED * energy_of(before[number]):
-            empty.append(number)
-            continue
-        counted.append(number)
-        rising += not costs([patch], metric)[0] < old[number]
+    empty = _emptied(before, after)
+    counted = [number for number in range(len(before)) if number not in empty]
+    now = costs([patch for number, patch in enumerate(after) if patch is not None and number in counted], metric)
+    rising = int(np.count_nonzero(~(now < old[counted])))
     if rising:
         return Verdict(False, counted, f"{metric} rises in {rising} of {len(before)} patches")
-    if 2 * len(counted) < len(before) or not before:
+    if 2 * len(counted) < len(before):
         return Verdict(False, counted, f"{len(empty)} of {len(before)} bright points left their patches")
     seen = seen_by([before[number] for number in counted])
     if any(np.mean(np.isin(before[number].pings, seen)) < COVERED for number in empty):
         return Verdict(False, counted, "a bright point left its patch, and no other sees its pings")
-    without = f", {len(empty)} others were side lobes" if empty else ""
-    gain = float(np.mean(old[counted] - costs([patch for n, patch in enumerate(after) if patch and n in counted], metric)))
+    gain = float(np.mean(old[counted] - now))
     if gain < LEAST_GAIN:
         return Verdict(False, counted, f"{metric} falls by {gain:.2g} alone, which clutter may do")
+    without = f", {len(empty)} others were side lobes" if empty else ""
     return Verdict(True, counted, f"{metric} falls in all {len(counted)} patches{without}", gain)
+
+
+def _emptied(before: Sequence[Patch], after: Sequence[Patch | None]) -> set[int]:
+    """Patches that held no point: their peak drifted off; they have lost half their energy; or half beside what the others have
+    gained, and their peak has fallen to where it would not be taken for a point."""
+    gone = {number for number, patch in enumerate(after) if patch is None}
+    there = [(number, patch) for number, patch in enumerate(after) if patch is not None]
+    if not there:
+        return gone
+    kept = np.array([_energy(patch) / _energy(before[number]) for number, patch in there])
+    peak = np.array([np.max(np.abs(patch.image())) for _, patch in there])
+    was = np.array([np.max(np.abs(before[number].image())) for number, _ in there])
+    faint = (kept < EMPTIED * np.median(kept)) & (peak < was) & (peak < DEEPEST * peak.max())
+    return gone | {number for (number, _), one in zip(there, (kept < EMPTIED) | faint, strict=True) if one}
 
 
 def stands_out(patch: Patch) -> bool:
@@ -373,7 +386,7 @@ def stands_out(patch: Patch) -> bool:
     return bool(power.max() * np.log(2) > np.median(power) * (np.log(power.size) + np.log(1 / FALSE_ALARM)))
 
 
-def energy_of(patch: Patch) -> float:
+def _energy(patch: Patch) -> float:
     return float(np.sum(np.abs(patch.image()).astype(np.float64) ** 2))
 
 
