@@ -367,8 +367,8 @@ def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) 
 
 
 def _emptied(before: Sequence[Patch], after: Sequence[Patch | None]) -> set[int]:
-    """Patches that held no point: their peak drifted off; they have lost half their energy; or half beside what the others have
-    gained, and their peak has fallen to where it would not be taken for a point."""
+    """Patches that held no point, but side lobes or a point far off the height: their peak drifted off, they have lost half their
+    energy, or their peak has fallen to where it would not be taken for a point."""
     gone = {number for number, patch in enumerate(after) if patch is None}
     there = [(number, patch) for number, patch in enumerate(after) if patch is not None]
     if not there:
@@ -376,7 +376,7 @@ def _emptied(before: Sequence[Patch], after: Sequence[Patch | None]) -> set[int]
     kept = np.array([_energy(patch) / _energy(before[number]) for number, patch in there])
     peak = np.array([np.max(np.abs(patch.image())) for _, patch in there])
     was = np.array([np.max(np.abs(before[number].image())) for number, _ in there])
-    faint = (kept < EMPTIED * np.median(kept)) & (peak < was) & (peak < DEEPEST * peak.max())
+    faint = (peak < was) & (peak < DEEPEST * peak.max())
     return gone | {number for (number, _), one in zip(there, (kept < EMPTIED) | faint, strict=True) if one}
 
 
