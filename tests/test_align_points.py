@@ -37,23 +37,33 @@ def test_sinusoid_of_one_wavelength(seed: int) -> None:
     Measured: 0.03 to 0.05 mm, -21 dB, where the true track has -21.4.
     """
     true, claim, points = scene(seed, points=4, above_db=24, sine=(0.015, 1.0))
-    fixed, report = pysas.align_points(claim, GRID, components=("sway",))
+    fixed, report = pysas.align_points(claim, GRID, components=("sway",), iterations=4)
     assert slant_error(claim, true) > 4e-3 and side_lobes(claim, points).max() > -3
     assert report.taken
     assert slant_error(fixed, true) < 0.1e-3
     assert side_lobes(fixed, points).max() < -18
 
 
-@pytest.mark.parametrize("seed", HARD)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_windows_keep_clutter_out(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points 18 dB above the clutter of a ping: 0.1 mm. Without smoothing along pings the track is no better than claimed."""
+    """Points 24 dB above the clutter of a ping: 0.1 mm, and ten times as much without smoothing along pings."""
+    true, claim, points = scene(seed, points=4, above_db=24)
+    fixed, report = pysas.align_points(claim, GRID, components=("sway",), iterations=3)
+    assert report.taken and slant_error(fixed, true) < 0.1e-3
+    assert loss(fixed, true, points) < 0.1
+    monkeypatch.setattr(bright_points, "WINDOWS", (0.0,))
+    plain, _ = pysas.align_points(claim, GRID, components=("sway",), iterations=3)
+    assert slant_error(plain, true) > 10 * slant_error(fixed, true)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_points_little_above_the_clutter(seed: int) -> None:
+    """18 dB in a ping: 0.1 mm and 0.1 dB."""
     true, claim, points = scene(seed, points=4, above_db=18)
     fixed, report = pysas.align_points(claim, GRID, components=("sway",))
     assert report.taken and slant_error(fixed, true) < 0.1e-3
     assert loss(fixed, true, points) < 0.1
-    monkeypatch.setattr(bright_points, "WINDOWS", (0.0,))
-    plain, _ = pysas.align_points(claim, GRID, components=("sway",))
-    assert slant_error(plain, true) > 3 * slant_error(fixed, true)
 
 
 @pytest.mark.parametrize("seed", HARD)
@@ -94,7 +104,7 @@ def test_a_circle(data_dir: Path, seed: int, rms: float) -> None:
     fixed, report = pysas.align_points(claim, grid, components=("sway",))
     fixed, _ = pysas.autofocus(fixed, grid, metric="sharpness", harmonics=16)
     assert report.taken
-    assert radial_error(fixed, true) < 0.1e-3
+    assert radial_error(fixed, true) < 0.05e-3
     assert loss(fixed, true, points, half=0.03, step=0.001) < 0.05
 
 
@@ -158,7 +168,8 @@ def test_a_recording_whose_navigation_lacks_its_sway(data_dir: Path) -> None:
     ("changes", "error", "words"),
     [
         ({"components": ("roll",)}, ValueError, "components"),
-        ({"components": ("yaw",)}, ValueError, "one receiver"),
+        ({"components": ("yaw",)}, ValueError, "alone"),
+        ({"components": ("sway", "yaw")}, ValueError, "one receiver"),
         ({"iterations": 0}, ValueError, "iterations"),
         ({"points": np.zeros((2, 2))}, ValueError, "points"),
         ({"points": np.full((2, 3), np.nan)}, ValueError, "points"),

@@ -281,8 +281,8 @@ def align_points(
     Raises
     ------
     ValueError, TypeError
-        Raw echoes, fewer than 8 pings, pings all at one place, unknown components, "yaw" of one receiver, points that are not
-        (point, 3), what `focus` raises.
+        Raw echoes, fewer than 8 pings, pings all at one place or all alike, unknown components, "yaw" alone or of one receiver,
+        points that are not (point, 3), what `focus` raises.
 
     Warns
     -----
@@ -297,7 +297,7 @@ def align_points(
     8 range cells are not found.
 
     O(pings points) reads, of a slice each, and as many patches of 51 x 51 pixels, five times an iteration; a sparse least
-    squares that grows with pings. Memory: 21 kB of complex64 a ping and point.
+    squares that grows with pings. Memory: 21 kB of complex64 a ping, of one point at a time.
 
     P. Eichel, D. Ghiglia, C. Jakowatz 1989, Opt. Lett. 14, 1, have the window along the aperture against clutter.
     """
@@ -305,6 +305,8 @@ def align_points(
     names = _patches.require(echoes, grid, components, COMPONENTS, velocity)
     iterations = _checks.whole("iterations", iterations)
     given = None if points is None else _checks.reals("points", points, [("point", 3)], ("point",))
+    if names == ("yaw",):
+        raise ValueError("components: 'yaw' alone: expected displacements beside it")
     if "yaw" in names and echoes.n_channel < 2:
         raise ValueError("components: 'yaw' of one receiver: expected an array of several")
     axes = _patches.axes_of(echoes)
@@ -312,7 +314,7 @@ def align_points(
     offsets = np.einsum("pcx,px->pc", spread, axes["surge"])
     unknowns = Unknowns([axes[name] for name in names if name != "yaw"], "yaw" in names, axes["sway"], offsets)
     detection = _patches.found(echoes, grid, tol, threads)
-    start = _patches.centred(echoes, detection.centres if given is None else given, tol, threads)
+    start = _patches.centred(echoes, detection.centres if given is None else given, tol, threads, summed=True)
     kept = [patch for patch in start if patch is not None and (given is None or _patches.stands_out(patch))]
     before = _patches.costs(kept, METRIC)
     nothing = np.zeros((len(unknowns.ways), echoes.n_ping))
@@ -349,7 +351,7 @@ def align_points(
         state = _some(state, [n for n, origin in enumerate(state.origin) if origin in counted])
     else:
         state = claimed
-    shift = shifts(state.series, unknowns.ways) if len(nothing) else np.zeros((echoes.n_ping, 3))
+    shift = shifts(state.series, unknowns.ways)
     report = Report(
         "align_points", METRIC, bool(kept), taken, why, np.array([before[state.origin], state.cost]),
         np.array([patch.centre for patch in state.patches]).reshape(-1, 3), detection.contrast, shift, state.turn,
@@ -381,7 +383,7 @@ def _step(
         virtual = Patch(one.point, np.zeros((2, 3)), np.zeros(1), one.pings, one.data, one.look, np.zeros((2, 1, 3)))
         expected.append(moved_place(virtual, one.point + np.array([*error, 0.0]), rest[one.pings]))
     track = moved(echoes, shifts(total, unknowns.ways), turn, velocity)
-    again = _patches.centred(track, np.array(expected), tol, threads)
+    again = _patches.centred(track, np.array(expected), tol, threads, summed=True)
     cost, patches, origin = state.cost.copy(), [], []
     for number, patch in enumerate(again):
         if patch is not None:

@@ -233,8 +233,8 @@ def autofocus(
     Raises
     ------
     ValueError, TypeError
-        Raw echoes, fewer than 8 pings, pings all at one place, unknown metric or components, knots or harmonics out of range, a
-        prior without sigmas > 0, what `focus` raises.
+        Raw echoes, fewer than 8 pings, pings all at one place or all alike, unknown metric or components, knots or harmonics
+        out of range, a prior without sigmas > 0, what `focus` raises.
 
     Warns
     -----
@@ -248,7 +248,7 @@ def autofocus(
     circle; they are left out.
 
     O(pings points) reads of a patch of 51 x 51 pixels, three at most a set of knots, and 60 passes or so over what is kept:
-    21 kB of complex64 a ping and point.
+    three times 21 kB of complex64 a ping and point, of 32 points at most.
 
     J. Ash 2012, IEEE Geosci. Remote Sens. Lett. 9, 104: sharpness of back-projected images.
     """

@@ -32,6 +32,7 @@ DEEPEST = 10 ** (-18 / 20)  # a bright point's amplitude beside the brightest on
 MEDIANS = 1.25  # allows for what medians over a tile err by
 TILE = 32  # pixels along each axis over which the clutter's level is taken
 FAINT = 1e-3  # energy of a ping beside the strongest one's below which it does not see a point
+CENTRINGS = 3  # of a patch
 CENTRED = 0.25  # of a patch's half: how far from its centre its brightest pixel may be
 
 EMPTIED = 0.5  # of a patch's energy: one that keeps less may have held another point's side lobes
@@ -78,7 +79,7 @@ class Patch:
     pings : (n,) whole numbers
         Those that see it.
     terms : (n, PIXELS, PIXELS)
-        What each contributes, all its channels together.
+        What each contributes, all its channels together; or (1, PIXELS, PIXELS), their sum.
     look : (n, 3)
         Unit vectors from the pings' phase centres to the centre.
     turns : (2, n, 3)
@@ -257,8 +258,11 @@ def steps_of(echoes: Echoes, point: FloatArray, pings: Int, energy: FloatArray) 
     return np.array(steps)
 
 
-def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) -> list[Patch | None]:
-    """A patch about each of (n, 3) points, its terms read; None for those that fewer than two pings see."""
+def made(
+    echoes: Echoes, points: FloatArray, tol: float, threads: int | None, summed: bool = False
+) -> list[Patch | None]:  # fmt: skip
+    """A patch about each of (n, 3) points, its terms read, or their sum alone in place of them (1, PIXELS, PIXELS); None for
+    points that fewer than two pings see."""
     middle = centres(echoes)
     rows = [within_records(echoes, point) for point in points]
     if not any(len(row) for row in rows):
@@ -280,24 +284,26 @@ def made(echoes: Echoes, points: FloatArray, tol: float, threads: int | None) ->
         lines = np.tile(point + offsets[0] * steps[1] + offsets[:, None] * steps[0], (pings.size, 1))
         way = np.broadcast_to(steps[1], lines.shape)
         terms = read(echoes, lines, way, PIXELS, np.repeat(pings, PIXELS), tol, threads)
+        terms = terms.reshape(-1, PIXELS, PIXELS)
+        terms = terms.sum(axis=0, keepdims=True) if summed else terms
         look, distance = looks(middle[pings], point)
         turns = np.stack([(step - look * (look @ step)[:, None]) / distance[:, None] for step in steps])
-        patches.append(
-            Patch(point, steps, offsets, pings, terms.reshape(-1, PIXELS, PIXELS), look, np.asarray(turns, dtype=np.float64))
-        )
+        patches.append(Patch(point, steps, offsets, pings, terms, look, np.asarray(turns, dtype=np.float64)))
     return patches
 
 
-def centred(echoes: Echoes, points: FloatArray, tol: float, threads: int | None, passes: int = 3) -> list[Patch | None]:
-    """A patch for each point whose brightest pixel is near its centre; None where the peak drifts on after `passes`."""
+def centred(
+    echoes: Echoes, points: FloatArray, tol: float, threads: int | None, summed: bool = False
+) -> list[Patch | None]:  # fmt: skip
+    """A patch for each point whose brightest pixel is near its centre; None where the peak drifts on after CENTRINGS."""
     places = np.array(points)
     kept: list[Patch | None] = [None] * len(places)
     left = list(range(len(places)))
-    for _ in range(passes):
+    for _ in range(CENTRINGS):
         if not left:
             break
         again = []
-        for number, patch in zip(left, made(echoes, places[left], tol, threads), strict=True):
+        for number, patch in zip(left, made(echoes, places[left], tol, threads, summed), strict=True):
             if patch is None:
                 continue
             place, far = patch.brightest()
@@ -367,8 +373,8 @@ def judged(before: Sequence[Patch], after: Sequence[Patch | None], metric: str) 
 
 
 def _emptied(before: Sequence[Patch], after: Sequence[Patch | None]) -> set[int]:
-    """Patches that held no point, but side lobes or a point far off the height: their peak drifted off, they have lost half their
-    energy, or their peak has fallen to where it would not be taken for a point."""
+    """Patches that held no point, but side lobes or a point far off the height: their peak drifted off, they have lost half
+    their energy, or their peak has fallen to where it would not be taken for a point."""
     gone = {number for number, patch in enumerate(after) if patch is None}
     there = [(number, patch) for number, patch in enumerate(after) if patch is not None]
     if not there:
@@ -486,7 +492,7 @@ def found(echoes: Echoes, grid: Grid, tol: float, threads: int | None) -> Detect
     first = detect(image, grid, 0.0, most=1)
     if not len(first.centres):
         return first
-    (patch,) = made(echoes, first.centres, tol, threads)
+    (patch,) = made(echoes, first.centres, tol, threads, summed=True)
     if patch is None:
         return dataclasses.replace(first, centres=first.centres[:0])
     return detect(image, grid, apart=2 * float(patch.offsets[-1] * np.linalg.norm(patch.steps, axis=1).max()))
