@@ -84,7 +84,9 @@ def test_raw_echoes_stay_raw(tmp_path, capsys):
     track = pysas.tracks.straight(8, 0.2, start=(-0.7, 0, 0))
     raw = raw.replace(**arms(track, raw.n_channel))
     pysas.save(tmp_path / "raw.npz", raw)
-    code = main(["navigate", str(tmp_path / "raw.npz"), "-o", str(tmp_path / "fixed.npz"), "--motion", "micronavigation", *SPANS])
+    code = main(
+        ["navigate", str(tmp_path / "raw.npz"), "-o", str(tmp_path / "fixed.npz"), "--motion", "micronavigation", *SPANS]
+    )
     capsys.readouterr()
     assert code in (0, 1)
     if code == 0:
