@@ -49,9 +49,11 @@ def conclude(
     looks = measured[0].looks[:, measured[0].looks.shape[1] // 2]
     looks = np.concatenate([looks, looks[-1:]])
     sure = solution.equations.part(0, len(track)).slant_variance(looks, gauge(looks, pivot))
-    change, doubt = _losses(claim[0], looks, pivot, np.sum(looks * track[:, :3], axis=1), solution.equations) * [1.0, scale**2]
+    slant = np.sum(looks * track[:, :3], axis=1)
+    change, doubt, whole = _losses(claim[0], looks, pivot, slant, solution.equations, seen)
+    doubt *= scale**2
     why = _wanting(solution, sought, claim[0], pivot, seen, coherence, track)
-    if why is None and doubt > max(_DOUBT, change):
+    if why is None and whole and doubt > max(_DOUBT, change):
         why = f"what was found would cost an image {doubt:.2g} dB by its own uncertainty, more than it mends"
     found = why is None
     if not found:
@@ -100,8 +102,11 @@ def _wanting(
     return None
 
 
-def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray, equations: Equations) -> FloatArray:
-    """dB of an image's peaks that a correction and its uncertainty are worth over one aperture: 4.34 (4 pi fc/c sigma)^2."""
+def _losses(
+    side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray, equations: Equations, seen: npt.NDArray[np.bool_]
+) -> tuple[float, float, bool]:
+    """dB of an image's peaks that a correction and its uncertainty are worth over one aperture, 4.34 (4 pi fc/c sigma)^2, and
+    whether any aperture is without pings that nothing correlates."""
     echoes, beam = side.echoes, side.echoes.beam
     if beam is None:
         raise _checks.InternalError("beam: none")
@@ -111,7 +116,8 @@ def _losses(side: Side, looks: FloatArray, pivot: FloatArray, slant: FloatArray,
     starts = np.unique(np.linspace(0, len(slant) - pings, 32).astype(int))
     parts = [slice(int(s), int(s) + pings) for s in starts]
     before = np.mean([np.mean(without_gauge(looks[p], pivot[p], slant[p]) ** 2) for p in parts])
-    some = parts[len(parts) // 2]
+    whole = [p for p in parts if seen[p.start : p.stop - 1].all()]
+    some = (whole or parts)[len(whole or parts) // 2]
     after = np.mean(equations.part(some.start, some.stop).slant_variance(looks[some], gauge(looks[some], pivot[some])))
-    turns = 4 * np.pi * echoes.fc / echoes.mean_speed
-    return np.asarray(4.34 * turns**2 * np.clip([before, after], 0, None))
+    size = 4.34 * (4 * np.pi * echoes.fc / echoes.mean_speed) ** 2
+    return float(size * before), float(size * max(after, 0.0)), bool(whole)
