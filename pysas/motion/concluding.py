@@ -56,13 +56,14 @@ def conclude(
     if why is None and whole and doubt > max(_DOUBT, change):
         why = f"what was found would cost an image {doubt:.2g} dB by its own uncertainty, more than it mends"
     found = why is None
+    loss = np.array([change + doubt, doubt])
     if not found:
-        track = np.zeros_like(track)
+        track, loss = np.zeros_like(track), np.full(2, np.nan)
     surge, sway = (np.sum(track[:, :2] * d[:, :2], axis=1) for d in (forward, across))
     return Motion(
         track[:, :3], track[:, 3], surge, sway, track[:, 2], sigma, scale * np.sqrt(np.clip(sure, 0, None)), coherence, overlap,
         solution.residual, np.flatnonzero(slips).tolist(), np.flatnonzero(~seen).tolist(), found,
-        why or f"{np.sum(seen)} of {len(seen)} pairs of pings correlate", pivot, np.array([change + doubt, doubt]),
+        why or f"{np.sum(seen)} of {len(seen)} pairs of pings correlate", pivot, loss,
     )  # fmt: skip
 
 
@@ -118,6 +119,6 @@ def _losses(
     before = np.mean([np.mean(without_gauge(looks[p], pivot[p], slant[p]) ** 2) for p in parts])
     whole = [p for p in parts if seen[p.start : p.stop - 1].all()]
     some = (whole or parts)[len(whole or parts) // 2]
-    after = np.mean(equations.part(some.start, some.stop).slant_variance(looks[some], gauge(looks[some], pivot[some])))
+    after = float(np.mean(equations.part(some.start, some.stop).slant_variance(looks[some], gauge(looks[some], pivot[some]))))
     size = 4.34 * (4 * np.pi * echoes.fc / echoes.mean_speed) ** 2
     return float(size * before), float(size * max(after, 0.0)), bool(whole)

@@ -46,7 +46,8 @@ class Motion:
     pivot : (ping, 3)
         Places that `yaw` turns the array about, m.
     loss : (2,)
-        dB that an image's peaks may lose, with the claimed track and with this one: 4.34 (4 pi fc/c sigma)^2 over an aperture.
+        dB that an image's peaks may lose, with the claimed track and with this one: 4.34 (4 pi fc/c sigma)^2 over an aperture;
+        not a number where nothing was found.
     """
 
     shift: FloatArray
