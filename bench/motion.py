@@ -13,7 +13,7 @@ import numpy as np
 
 import pysas
 
-from .survey import BAND, ELEMENT, FAR, FC, FS, HALF_ANGLE, HEIGHT, NEAR, PIXEL, RATE, SWATH, C
+from bench.survey import BAND, ELEMENT, FAR, FC, FS, HALF_ANGLE, HEIGHT, NEAR, PIXEL, RATE, SWATH, C
 
 
 def recorded(receivers, overlap, pings, seed=0):

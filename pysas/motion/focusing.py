@@ -43,6 +43,7 @@ from pysas.motion.results import Report
 
 COMPONENTS = ("surge", "sway", "heave")
 ORDER = 3  # cubic
+KNOTS = (8, 16, 32)
 FIRST_HARMONICS = (4, 8, 16, 32)  # before the highest asked for
 PASSES = 3  # over one set of knots
 STEPS = 60  # of the minimiser
@@ -181,7 +182,7 @@ def autofocus(
     grid: Grid,
     metric: str = "entropy",
     components: Sequence[str] = ("sway",),
-    knots: Sequence[int] = (8, 16, 32),
+    knots: Sequence[int] | None = None,
     prior: Any = None,
     harmonics: int | None = None,
     velocity: str = "follow",
@@ -206,9 +207,10 @@ def autofocus(
         the side lobes that they have there are not of the least entropy.
     components : sequence of "surge", "sway", "heave"
         Displacements sought: along the array (or the way, of one receiver), across it, along z.
-    knots : sequence of int
-        Numbers of cubic splines over the pings that see a bright point, one set after another, 4 or more. From few to many
-        finds smooth errors of some millimetres; an error that bends faster than the first splines can wants more at once.
+    knots : sequence of int, optional
+        Numbers of cubic splines over the pings that see a bright point, one set after another, 4 or more. Default: 8, 16 and 32
+        as far as there are as many pings. From few to many finds smooth errors of some millimetres; an error that bends faster
+        than the first splines can wants more at once.
     prior : pysas.motion.Motion or float, optional
         How much displacements may bend: the motion that `micronavigate` found and with which the echoes were corrected, or the
         standard deviation of their second differences from ping to ping, m (10 to 20 um after micronavigation). Without it
@@ -356,6 +358,8 @@ def _levels(echoes: Echoes, knots: Any, harmonics: Any) -> list[int]:
     if harmonics is not None:
         highest = _checks.whole("harmonics", harmonics, low=2, high=echoes.n_ping // 2)
         return [n for n in FIRST_HARMONICS if n < highest] + [highest]
+    if knots is None:
+        return [count for count in KNOTS if count <= echoes.n_ping]
     if isinstance(knots, str) or not isinstance(knots, Sequence) or not knots:
         raise TypeError(f"knots={knots!r}: expected a sequence of numbers of splines")
     return [_checks.whole("knots", count, low=ORDER + 1, high=echoes.n_ping) for count in knots]

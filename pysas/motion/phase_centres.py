@@ -118,7 +118,7 @@ class Side:
         height = np.abs(self.seabed - self.centres[..., 2].mean(axis=1))
         steep = np.abs(_plane(self.axis, echoes)[1][:, 2])
         reached = height / (steep * _GRAZING)
-        beside = min(_BESIDE_ENDS, echoes.n_sample // 30)
+        beside = _BESIDE_ENDS if echoes.n_sample >= 30 * _BESIDE_ENDS else 0
         begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), beside)
         count = (echoes.n_sample - beside - begin) // length
         if length < 8 or count < 1:
