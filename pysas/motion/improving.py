@@ -81,7 +81,7 @@ def improved(
         try:
             motion = micronavigate(
                 echoes,
-                float(np.median(np.asarray(grid.height))),
+                float(np.median(grid.coordinates()[:, 2])),
                 prior,
                 velocity=velocity,
                 tol=tol,
