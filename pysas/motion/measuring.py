@@ -128,7 +128,10 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> Measured:
     number = rows.count
     squared = np.where(number > 0, squared - (1 - squared) / np.maximum(number, 1), 0.0)
     wavelength = rows.speed[:, None] / echoes.fc
-    delay = lag[:, None, None] / echoes.fs - np.angle(product) / (2 * np.pi * echoes.fc)
+    # phases lie about that of all together: beside half a turn some windows would come to either end of it
+    common = np.angle(np.sum(product[:, base] * rows.count[:, base], axis=(1, 2)))[:, None, None]
+    phase = common + np.angle(product * np.exp(-1j * common))
+    delay = lag[:, None, None] / echoes.fs - phase / (2 * np.pi * echoes.fc)
     # points beside boresight at the same range see less of a separation along it: the mean over the beam's power
     level = rows.looks[..., :2]
     short = mean_square_sine(side.elements, wavelength) / 2 / np.sum(level**2, axis=2).clip(1e-3)
