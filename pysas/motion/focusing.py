@@ -131,7 +131,7 @@ class _Prior:
 
 def _prior_of(prior: Any, echoes: Echoes, components: Sequence[str]) -> _Prior | None:
     """Of a found motion's sigmas of increments: its sway bends as its yaw errs, sigma = advance x sigma of yaw."""
-    if prior is None:
+    if prior is None or not getattr(prior, "found", True):
         return None
     n = echoes.n_ping - 2
     if not hasattr(prior, "sigma"):
@@ -212,9 +212,9 @@ def autofocus(
         as far as there are as many pings. From few to many finds smooth errors of some millimetres; an error that bends faster
         than the first splines can wants more at once.
     prior : pysas.motion.Motion or float, optional
-        How much displacements may bend: the motion that `micronavigate` found and with which the echoes were corrected, or the
-        standard deviation of their second differences from ping to ping, m (10 to 20 um after micronavigation). Without it
-        pings that few points see drift.
+        How much displacements may bend: the motion that `micronavigate` found and with which the echoes were corrected (one
+        that was not found says nothing), or the standard deviation of their second differences from ping to ping, m (10 to
+        20 um after micronavigation). Without it pings that few points see drift.
     harmonics : int, optional
         For circles: harmonics 2 up to this one of the angle about the centre in place of splines, 4, 8, 16 ... of them first.
     velocity : "follow" or "keep"
