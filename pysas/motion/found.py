@@ -34,7 +34,8 @@ class Motion:
     overlap : (ping - 1,)
         Phase centres of each ping that lie beside one of the next.
     residual : (2,)
-        What echoes' rows and prior's rows leave over, over their standard deviations: about 1 where both tell the truth.
+        What echoes' rows and prior's rows leave over, over their standard deviations: about 1 where both tell the truth. Of the
+        prior the largest of its parts.
     slips : list of int
         Pings from which to the next the phase of the windows and the envelope disagree by half a wavelength or more.
     unseen : list of int
@@ -85,15 +86,16 @@ class Motion:
         Raises
         ------
         ValueError
-            Another number of pings.
+            Another number of pings; echoes that this motion has corrected already.
         """
         if echoes.n_ping != len(self.yaw):
             raise ValueError(f"echoes: {echoes.n_ping} pings: expected {len(self.yaw)}, of the track that was corrected")
         if not self.found:
             return echoes
-        return applied(echoes, self.pivot, self.shift, self.yaw, velocity).replace(
-            attrs={**echoes.attrs, "motion": f"micronavigation: {self._largest()}"}
-        )
+        said = f"micronavigation: {self._largest()}"
+        if echoes.attrs.get("motion") == said:
+            raise ValueError(f"echoes: corrected already ({said}): expected those of the track that was corrected")
+        return applied(echoes, self.pivot, self.shift, self.yaw, velocity).replace(attrs={**echoes.attrs, "motion": said})
 
     def _largest(self) -> str:
         shift = 1e3 * float(np.max(np.linalg.norm(self.shift, axis=1)))

@@ -19,6 +19,7 @@ from pysas.motion.priors import Prior
 from pysas.motion.solution import Beliefs, Equations
 
 _CUT, _PASSES = 4.0, 3  # of Cauchy's weights, standard deviations
+_ALIKE = 1e-9  # of the square of two pings' correlation, short of 1: what rounding leaves of a ping recorded again
 _WILD = np.array([0.5, 0.5, 0.5, 0.3])  # m, rad: changes from ping to ping that no sonar makes unclaimed
 
 
@@ -138,9 +139,7 @@ def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
         if one.n_ping < 2:
             raise ValueError("echoes: one ping: expected at least two, of which a later one is compared with one before it")
         _require_finite(one)
-        for ping in range(1, one.n_ping):
-            if np.array_equal(one.traces[ping, 0], one.traces[ping - 1, 0]) and np.any(one.traces[ping, 0]):
-                raise ValueError(f"echoes: ping {ping} repeats the samples of ping {ping - 1}: expected noise of its own")
+        _require_own_noise(one)
     return sides
 
 
@@ -154,6 +153,24 @@ def _require_finite(echoes: Echoes) -> None:
             if bad.any():
                 where = f"ping {ping}, channel {int(np.argmax(bad.any(axis=1)))}"
                 raise ValueError(f"echoes: non-finite sample at {where}: expected finite ones, or compress(raw, nan='mask')")
+
+
+def _require_own_noise(echoes: Echoes) -> None:
+    """Of each ping: one that was recorded again, be it with another gain, says that the sonar stood still."""
+    before = None
+    for ping, traces in enumerate(echoes.traces):
+        now = traces.astype(np.complex128)
+        at = np.arange(echoes.n_sample)
+        first, last = echoes.windows[ping].T
+        now[(at < first[:, None]) | (at > last[:, None])] = 0
+        size = np.max(np.abs(now), axis=1, keepdims=True)
+        now /= np.where(size > 0, size, 1.0)
+        if before is not None:
+            alike = np.abs(np.sum(now * before.conj(), axis=1)) ** 2
+            most = np.sum(np.abs(now) ** 2, axis=1) * np.sum(np.abs(before) ** 2, axis=1)
+            if np.any((alike >= (1 - _ALIKE) * most) & (most > 0)):
+                raise ValueError(f"echoes: ping {ping} repeats the samples of ping {ping - 1}: expected noise of its own")
+        before = now
 
 
 def _lengths(echoes: Echoes, elements: tuple[float, float] | None) -> tuple[float, float]:
@@ -193,7 +210,13 @@ def _solve(measured: list[Measured], beliefs: Beliefs, track: FloatArray, way: F
         equations = Equations(pings)
         equations.add(normal, right)
         equations.believe(beliefs, track)
-        step = equations.solve()
+        try:
+            step = equations.solve()
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                f"prior={beliefs.prior!r}: too firm or too loose beside what echoes say: expected what the navigation's data "
+                "sheet says, in m, rad and s"
+            ) from None
         beliefs.bridge(track + step, seen, way)
     echo = float(np.sqrt(squares[:, 0].sum() / max(squares[:, 1].sum(), 1)))
     relative = normal[:, 4:, 4:] + np.einsum("pk,kl->pkl", 1 / beliefs.step**2, np.eye(4))

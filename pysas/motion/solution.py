@@ -89,6 +89,7 @@ class Beliefs:
     """Standard deviations of x, y, z and turn of each ping (4,), and of their changes from ping to ping (ping - 1, 4)."""
 
     def __init__(self, prior: Prior, pings: int, times: FloatArray | None) -> None:
+        self.prior = prior
         self.each = np.array([POSITION, POSITION, prior.depth or POSITION, prior.heading or HEADING])
         self.expected = np.zeros((pings - 1, 4))
         self.step = np.tile([STEP, STEP, np.sqrt(2) * prior.depth if prior.depth else STEP, prior.gyro or TURN], (pings - 1, 1))
@@ -113,8 +114,10 @@ class Beliefs:
                 self.step[rest, k] = sure * way[rest] / max(float(np.median(way[told])), 1e-9)
 
     def residual(self, track: FloatArray) -> float:
-        """Root mean square of the changes of a track (ping, 4) over what is believed of them."""
-        return float(np.sqrt(np.mean(((np.diff(track, axis=0) - self.expected) / self.step) ** 2)))
+        """Root mean square of a track (ping, 4), or of its changes, over what is believed of them: the largest of its parts, as
+        what is believed of one too firmly does not become right by what is believed of the others."""
+        parts = (track / self.each, (np.diff(track, axis=0) - self.expected) / self.step)
+        return float(np.sqrt(max(np.max(np.mean(part**2, axis=0)) for part in parts)))
 
 
 def without_gauge(looks: FloatArray, places: FloatArray, slant: FloatArray) -> FloatArray:
