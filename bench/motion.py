@@ -12,7 +12,6 @@ import time
 import numpy as np
 
 import pysas
-
 from bench.survey import BAND, ELEMENT, FAR, FC, FS, HALF_ANGLE, HEIGHT, NEAR, PIXEL, RATE, SWATH, C
 
 

@@ -13,6 +13,9 @@ import pysas
 from pysas.motion import bright_points
 from pysas.motion.moving import centres, moved
 
+# estimators, not engines: what these read is held to tolerance on every engine by test_contributions.py
+pytestmark = pytest.mark.cpp
+
 SEEDS = (1, 2, 3)
 HARD = [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
 

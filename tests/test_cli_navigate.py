@@ -10,6 +10,9 @@ import pysas
 from pysas.cli.program import main
 from pysas.motion.improving import improved
 
+# estimators, not engines: what these read is held to tolerance on every engine by test_contributions.py
+pytestmark = pytest.mark.cpp
+
 SPANS = ["--x", "-2:2", "--y", "21:30", "--z", "8", "--spacing", "0.04", "0.02"]
 
 

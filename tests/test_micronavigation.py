@@ -24,6 +24,9 @@ from pysas.motion.priors import Prior
 from pysas.motion.solution import HELD, Beliefs, Equations, gauge
 from pysas.motion.surging import coherence, mean_square_sine, surges
 
+# estimators, not engines: what these read is held to tolerance on every engine by test_contributions.py
+pytestmark = pytest.mark.cpp
+
 ELEMENTS = (motion_scenes.TX, motion_scenes.RX)
 
 
@@ -95,8 +98,8 @@ def test_surge_is_where_coherence_is_largest():
 
 
 def test_windows_correlate_as_numpy_does():
-    """Amplitudes are clipped at 2 rms as the median says (of an even number, the larger one in the middle; found to 1 in 4096); a
-    window of which less than half was recorded is left out."""
+    """Amplitudes are clipped at 2 rms as the median says (of an even number, the larger one in the middle; found to 1 in 4096);
+    a window of which less than half was recorded is left out."""
     rng = np.random.default_rng(0)
     a, b = (rng.standard_normal((2, 3, 200)) + 1j * rng.standard_normal((2, 3, 200))).astype(np.complex64)
     a[0, 30] = 100.0

@@ -17,8 +17,8 @@ from pysas.cli.common import Command, Progress
 _ERROR, _INTERRUPTED = 2, 130
 # and their modules
 _COMMANDS = {
-    "demo": "demo", "echoes": "echoes", "navigate": "navigate", "image": "image", "compare": "compare", "simulate": "simulation",
-    "info": "info", "check": "check",
+    "demo": "demo", "echoes": "echoes", "navigate": "navigate", "image": "image", "compare": "compare",
+    "simulate": "simulation", "info": "info", "check": "check",
 }  # fmt: skip
 
 

@@ -158,4 +158,4 @@ def peak_loss(slant: npt.ArrayLike, wavelength: float) -> FloatArray:
     10 log10(e) v = 4.34 v (J. Ruze 1966). A smooth error costs less: what it has of a shift and a trend only moves the point.
     """
     variance = np.square(4 * np.pi / _checks.number("wavelength", wavelength, positive=True) * np.asarray(slant))
-    return np.asarray(10 * np.log10(np.e) * variance)
+    return np.asarray(10 / np.log(10) * variance)
