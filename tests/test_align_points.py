@@ -76,6 +76,17 @@ def test_a_right_track_stays_right(seed: int) -> None:
     assert slant_error(fixed, true) < 0.1e-3
 
 
+def test_the_size_of_samples_does_not_matter() -> None:
+    """Powers of 2 change no bit of the track."""
+    _, claim, _ = scene(1, pings=96)
+    expected, report = pysas.align_points(claim, GRID)
+    assert report.taken
+    for exponent in (-90, 100):
+        data = np.asarray(claim.data) * np.float32(2.0**exponent)
+        found, report = pysas.align_points(claim.replace(data=data), GRID)
+        assert report.taken and np.array_equal(found.tx, expected.tx)
+
+
 def test_points_may_be_given() -> None:
     true, claim, points = scene(1, 0.01)
     fixed, report = pysas.align_points(claim, GRID, points=points + 0.1, components=("sway",))

@@ -25,7 +25,7 @@ from pysas.imaging.contributions import contributions
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.motion import patches as _patches
-from pysas.motion.moving import centres, moved
+from pysas.motion.moving import centres, moved, scaled
 from pysas.motion.patches import Int, Patch, looks, moved_place, shifts, wave_numbers, without_gauge
 from pysas.motion.results import Report
 
@@ -107,14 +107,14 @@ def sliced(
     every, ways = np.concatenate(pings), np.concatenate([look for look, _ in sights])
     places = np.repeat(points, [len(some) for some in pings], axis=0)
     data = _patches.read(echoes, places + lags[0] * ways, step * ways, len(lags), every, tol, threads)
-    data *= np.exp(-1j * k[every, None] * lags).astype(data.dtype)
+    data = scaled(data * np.exp(-1j * k[every, None] * lags).astype(data.dtype))
     single: ComplexArray | None = None
     if channels:
         count = echoes.n_channel
         trace = (every[:, None] * count + np.arange(count)).reshape(-1, 1).astype(np.int64)
         rows = np.repeat(places, count, axis=0)[:, None]
         single = contributions(echoes, rows, np.concatenate([trace, trace], axis=1), tol=tol, threads=threads)
-        single = single.reshape(-1, count)
+        single = scaled(single.reshape(-1, count))
     found, start = [], 0
     for point, some, (look, distance) in zip(points, pings, sights, strict=True):
         part = slice(start, start + len(some))

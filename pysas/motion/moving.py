@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from pysas._checks import FloatArray
+from pysas._checks import ComplexArray, FloatArray
 from pysas.model.echoes import Echoes
 
 VELOCITIES = ("follow", "keep")
@@ -16,6 +16,14 @@ def centres(echoes: Echoes) -> FloatArray:
     """(ping, 3) means of each ping's phase centres, halfway between transmitter and receivers, at transmission, m: what a
     correction shifts, and what it turns the array about."""
     return np.asarray((echoes.tx + echoes.receivers.mean(axis=1)) / 2)
+
+
+def scaled(data: ComplexArray) -> ComplexArray:
+    """Times the power of 2 that brings its largest part to between 1/2 and 1: squares of samples of any size are numbers."""
+    peak = max(float(np.max(np.abs(part), initial=0.0)) for part in (data.real, data.imag))
+    exponent = -int(np.frexp(peak)[1])
+    half = data.real.dtype.type(2.0) ** (exponent // 2)  # one factor may be beyond what the type holds
+    return np.asarray(data * half * data.real.dtype.type(2.0) ** (exponent - exponent // 2))
 
 
 def times(echoes: Echoes) -> FloatArray | None:

@@ -20,6 +20,7 @@ from pysas.imaging.contributions import along_lines
 from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.motion import correlating
+from pysas.motion.moving import scaled
 
 MOST_PAIRS, MOST_BESIDE = 12, 4  # of channels at the nearest separation, and at each of those a step or more away
 _BATCH_BYTES = 100e6  # of the samples of both traces of each pair
@@ -151,9 +152,7 @@ class Side:
         data = along_lines(
             some, first_points, steps, _PIECE, np.stack([trace, trace], axis=1), tol=tol, threads=threads
         ).reshape(2, len(pair), -1)  # fmt: skip
-        peak = max(float(np.max(np.abs(part), initial=0.0)) for part in (data.real, data.imag))
-        if peak > 0:
-            data *= data.real.dtype.type(2.0) ** -int(np.frexp(peak)[1])  # whose squares are numbers
+        data = scaled(data)
         products = np.empty((len(pair), count, 2 * reach + 1), dtype=np.complex128)
         powers, counts = np.empty((len(pair), count)), np.empty((len(pair), count))
         real = data[0].real.dtype
