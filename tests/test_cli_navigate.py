@@ -40,7 +40,7 @@ def test_navigate_writes_the_track_that_it_finds(line, tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 0
     out = capsys.readouterr().out
-    assert "found: 23 of 23 pairs of pings correlate" in out and "not seen" in out and "written" in out
+    assert "found: 23 of 23 pairs of pings correlate" in out and "not seen" in out and "pysas image fixed.npz --z 8" in out
 
 
 def test_image_finds_the_track_on_the_way(line, tmp_path, capsys):

@@ -140,6 +140,8 @@ def test_what_cannot_be_is_named():
         navigate(motion_scenes.claimed(claim, far))
     with pytest.raises(ValueError, match="windows=100: expected at least 8 samples .* and at most the 1.* m of slant range"):
         navigate(claim, windows=100.0)
+    with pytest.raises(ValueError, match="windows=0.01: expected at least 8 samples"):
+        navigate(claim, windows=0.01)
     with pytest.raises(ValueError, match="0 m of slant range that the record has of a seabed at z = 100 m"):
         navigate(claim, 100.0)
     with pytest.raises(ValueError, match="speed=0.001: expected echoes whose pings have times"):

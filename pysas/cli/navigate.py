@@ -13,6 +13,9 @@ from pysas.cli.common import Command, Progress, add_scene, chosen_grid, read, re
 from pysas.cli.tracking import add_motion, corrected, moved_to, summary
 from pysas.formats import io
 from pysas.imaging.doorways import focus
+from pysas.motion.found import Motion
+from pysas.motion.improving import Improved
+from pysas.motion.results import Report
 from pysas.signal import compression
 
 
@@ -43,8 +46,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         io.save(output, moved_to(whole, found.echoes), overwrite=arguments.overwrite)
     if png is not None:
         before, after = (focus(one, grid, 1e-2, threads=arguments.threads) for one in (echoes, found.echoes))
-        drawn = found.motion or found.reports[-1]
-        plot.track(drawn, png, before=before, after=after, overwrite=arguments.overwrite)
+        plot.track(_drawn(found), png, before=before, after=after, overwrite=arguments.overwrite)
     if arguments.json:
         moved = float(np.max(np.linalg.norm(found.echoes.tx - echoes.tx, axis=1)))
         print(
@@ -52,8 +54,26 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         )
     else:
         print(f"{found}\n  grid       {how}")
-        print(f"  written    {output}: pysas image {Path(output).name}" if found.changed else f"  not written: {output}")
+        again = f"pysas image {Path(output).name}{_seabed(arguments)}"
+        print(f"  written    {output}: {again}" if found.changed else f"  not written: {output}")
     return int(not found.changed)
+
+
+def _drawn(found: Improved) -> Motion | Report:
+    """Micronavigation where it found something, else the last report that was taken: what the corrected image shows."""
+    motion, reports = found.motion, found.reports
+    if motion is not None and (motion.found or not reports):
+        return motion
+    return next((one for one in reversed(reports) if one.taken), reports[-1])
+
+
+def _seabed(arguments: argparse.Namespace) -> str:
+    """The option that an image needs too: a track's heave was found for this seabed, and is wrong for another."""
+    for name in ("z", "altitude", "depth_map", "grid"):
+        value = getattr(arguments, name)
+        if value is not None:
+            return f" --{name.replace('_', '-')} {value}"
+    return ""
 
 
 COMMAND = Command("navigate", "correct the track by the echoes themselves; write the echoes with it", _add_arguments, _run)

@@ -15,7 +15,7 @@ _SIGMAS = (
     ("speed", "M/S", "of the claimed track's speed"),
     ("heading", "RAD", "of the claimed heading"),
     ("gyro", "RAD", "of the change of heading from ping to ping"),
-    ("depth", "M", "of the change of depth from ping to ping"),
+    ("depth", "M", "of the claimed z of each ping"),
 )
 
 

@@ -106,7 +106,7 @@ def _wanting(
     if echo > _WRONG or prior > _UNLIKE or solution.wild:
         return (
             f"echoes contradict each other by {echo:.2g} and the prior by {prior:.2g} standard deviations: too few echoes of a "
-            f"seabed at z = {side.seabed:g} m, or a prior that is too sure"
+            f"seabed at z = {side.seabed:g} m (the sonar is at {np.mean(pivot[:, 2]):.3g} m), or a prior that is too sure"
         )
     return None
 

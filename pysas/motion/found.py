@@ -115,7 +115,8 @@ class Motion:
             "over the track, a shift and a turn of the whole removed",
             f"  coherence  {np.min(self.coherence):.2f} to {np.max(self.coherence):.2f}, median "
             f"{np.median(self.coherence):.2f}; {np.min(self.overlap):.3g} to {np.max(self.overlap):.3g} phase centres overlap",
-            f"  residuals  {self.residual[0]:.3g} of the echoes, {self.residual[1]:.3g} of the prior, in standard deviations",
+            f"  residuals  {self.residual[0]:.3g} of the echoes, {self.residual[1]:.3g} of the prior, in standard deviations: "
+            "well above 1 a prior is too sure, or the seabed elsewhere",
             "  not seen   where the whole track lies and its mean heading, which move the image and leave it sharp; pitch and "
             "roll",
             f"  image      peaks may lose {_decibels(self.loss[0])} with the claimed track, {_decibels(self.loss[1])} with "

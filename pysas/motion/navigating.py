@@ -189,8 +189,9 @@ def _require_overlap(overlap: FloatArray, prior: Prior) -> None:
     if np.mean(short) > 0.5:
         ping_ = int(np.argmax(short))
         raise ValueError(
-            f"echoes: {ping} phase centres of pings {ping_} and {ping_ + 1} overlap ({overlap[ping_]:.3g}): expected at least "
-            "two, which tell yaw, or with prior=Prior(gyro=...) one: a shorter advance from ping to ping, or a longer array"
+            f"echoes: {ping} phase centres of pings {ping_} and {ping_ + 1} overlap ({max(overlap[ping_], 0.0):.2g}): expected "
+            "at least two, which tell yaw, or with prior=Prior(gyro=...) one: a shorter advance from ping to ping, or a longer "
+            "array; pysas.align_points goes by bright points alone"
         )
 
 

@@ -121,7 +121,7 @@ class Side:
         reached = height / (steep * _GRAZING)
         beside = _BESIDE_ENDS if echoes.n_sample >= 30 * _BESIDE_ENDS else 0
         begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), beside)
-        count = (echoes.n_sample - beside - begin) // length
+        count = (echoes.n_sample - beside - begin) // max(length, 1)
         if length < 8 or count < 1:
             seen = max(echoes.n_sample - beside - begin, 0) * step
             raise ValueError(
