@@ -14,6 +14,9 @@ import pysas
 from pysas.motion.priors import Prior
 from pysas.navigation import Poses, euler, geometry
 
+# estimators, not engines: see test_micronavigation.py
+pytestmark = pytest.mark.cpp
+
 
 def test_bright_points_do_not_stand_in_for_an_overlap():
     """Arrays that lie four steps apart where the claim, which sails half as far, lets eight phase centres overlap: what
