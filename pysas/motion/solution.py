@@ -43,9 +43,20 @@ class Equations:
         self.right[:-1] += pull
 
     def part(self, first: int, last: int) -> Equations:
-        """Those of pings first ... last - 1, the middle one of which is held: what else lies there is gauge."""
+        """What all say of pings first ... last - 1 alone, the middle one of which is held: what else lies there is gauge."""
         some = Equations(last - first)
         some.diagonal[:], some.beside[:] = self.diagonal[first:last], self.beside[first : last - 1]
+        # pings beyond, which nobody knows either, are eliminated from both ends on
+        if first > 0:
+            before = self.diagonal[0]
+            for p in range(first):
+                before = self.diagonal[p + 1] - self.beside[p] @ np.linalg.solve(before, self.beside[p].T)
+            some.diagonal[0] += before - self.diagonal[first]
+        if last < len(self.diagonal):
+            after = self.diagonal[-1]
+            for p in range(len(self.diagonal) - 2, last - 2, -1):
+                after = self.diagonal[p] - self.beside[p].T @ np.linalg.solve(after, self.beside[p])
+            some.diagonal[-1] += after - self.diagonal[last - 1]
         k = np.arange(4)
         some.diagonal[(last - first) // 2, k, k] += 1 / HELD**2
         return some
