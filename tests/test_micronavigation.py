@@ -154,8 +154,8 @@ def test_the_banded_solution_is_the_dense_one():
 
 
 def test_variances_are_those_of_the_dense_inverse():
-    """Of a part of the track whose middle ping is held, with a shift and a trend projected out of both sides: pings beyond it are
-    as unknown as its own."""
+    """Of a part of the track whose middle ping is held, with a shift and a trend projected out of both sides: pings beyond it
+    are as unknown as its own."""
     equations, rng = random_equations(), np.random.default_rng(2)
     looks = rng.standard_normal((6, 3))
     basis = np.linalg.qr(rng.standard_normal((6, 2)))[0]
