@@ -2,7 +2,8 @@
 
 The survey of `bench.survey` (100 kHz, 30 kHz of band, 150 m of swath, pixels of 2.5 cm, a strip from a stream of pings), with
 arrays of which some phase centres coincide from ping to ping, as micronavigation needs. Coinciding ones hear the same noise of
-the band, and a tenth of another; all others hear noise of their own: as coherent as a seabed that is frozen, for little time.
+the band, and a tenth of another; all others hear noise of their own: as coherent as a seabed that is frozen, for little time. No array's traces are the same to the
+sample, so what is found there is of no interest, only how long it takes.
 """
 
 import argparse
@@ -16,10 +17,10 @@ from bench.survey import BAND, ELEMENT, FAR, FC, FS, HALF_ANGLE, HEIGHT, NEAR, P
 
 
 def recorded(receivers, overlap, pings, seed=0):
-    """Echoes of a straight track that sways by 2 cm, which is claimed as it was."""
+    """Echoes of a straight track, which is claimed as it was."""
     advance = (receivers - overlap) * ELEMENT / 2
     x = advance * np.arange(pings)
-    place = np.stack([x, 0.02 * np.sin(2 * np.pi * x / 17), np.full(pings, HEIGHT)], axis=1)
+    place = np.stack([x, np.zeros(pings), np.full(pings, HEIGHT)], axis=1)
     along = ELEMENT * (np.arange(receivers) - (receivers - 1) / 2)
     samples = int(2 * (FAR / np.cos(HALF_ANGLE) - NEAR) / C * FS) + 300
     keep = (np.abs(np.fft.fftfreq(samples)) <= BAND / 2 / FS).astype(np.float32)
@@ -52,36 +53,35 @@ def imaged(echoes, tol, threads):
 
 
 def navigated(echoes, windows, threads):
-    """Seconds of micronavigation, and what it found."""
+    """Seconds of micronavigation."""
     clock = time.perf_counter()
-    motion = pysas.micronavigate(echoes, seabed=0.0, windows=windows, threads=threads)
-    return time.perf_counter() - clock, motion
+    pysas.micronavigate(echoes, seabed=0.0, windows=windows, threads=threads)
+    return time.perf_counter() - clock
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--receivers", type=int, nargs="+", default=[12, 32])
     parser.add_argument("--overlap", type=int, default=4, help="phase centres that coincide from ping to ping")
-    parser.add_argument("--pings", type=int, default=200)
+    parser.add_argument("--pings", type=int, default=400)
     parser.add_argument("--windows", type=int, default=100, help="of range, over the swath")
     parser.add_argument("--tol", type=float, nargs="+", default=[1e-2, 1e-3], help="of the images")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3, help="of which the medians are told, both in turn")
     args = parser.parse_args()
-    head = ("receivers", "pings", "windows", "tol of images", "imaging, s a ping", "track, s a ping", "share", "found")
+    head = ("receivers", "pings", "windows", "tol of images", "imaging, s a ping", "track, s a ping", "share")
     print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|")
     for receivers in args.receivers:
         echoes = recorded(receivers, args.overlap, args.pings)
         for tol in args.tol:
             pairs = []
             for _ in range(args.rounds):
-                spent, motion = navigated(echoes, (FAR - NEAR) / args.windows, args.threads)
+                spent = navigated(echoes, (FAR - NEAR) / args.windows, args.threads)
                 pairs.append((imaged(echoes, tol, args.threads), spent))
             images, track = (statistics.median(pair[i] for pair in pairs) / args.pings for i in (0, 1))
             share = statistics.median(b / a for a, b in pairs)
             cells = (
                 receivers, args.pings, args.windows, f"{tol:g}", f"{images:.4f}", f"{track:.4f}", f"{share:.2f}",
-                "yes" if motion.found else motion.why,
             )  # fmt: skip
             print("| " + " | ".join(map(str, cells)) + " |", flush=True)
 

@@ -9,6 +9,7 @@ import numpy as np
 from pysas._checks import ComplexArray, FloatArray
 from pysas.model.echoes import Echoes
 
+_MODERATE = 20  # powers of 2
 VELOCITIES = ("follow", "keep")
 
 
@@ -19,9 +20,12 @@ def centres(echoes: Echoes) -> FloatArray:
 
 
 def scaled(data: ComplexArray) -> ComplexArray:
-    """Times the power of 2 that brings its largest part to between 1/2 and 1: squares of samples of any size are numbers."""
-    peak = max(float(np.max(np.abs(part), initial=0.0)) for part in (data.real, data.imag))
+    """Times the power of 2 that brings its largest part to between 1/2 and 1, unless squares and fourth powers of it are numbers
+    as they are."""
+    peak = max(float(max(np.max(part, initial=0.0), -np.min(part, initial=0.0))) for part in (data.real, data.imag))
     exponent = -int(np.frexp(peak)[1])
+    if abs(exponent) <= _MODERATE:
+        return data
     half = data.real.dtype.type(2.0) ** (exponent // 2)  # one factor may be beyond what the type holds
     return np.asarray(data * half * data.real.dtype.type(2.0) ** (exponent - exponent // 2))
 
