@@ -2,8 +2,8 @@
 
 The survey of `bench.survey` (100 kHz, 30 kHz of band, 150 m of swath, pixels of 2.5 cm, a strip from a stream of pings), with
 arrays of which some phase centres coincide from ping to ping, as micronavigation needs. Coinciding ones hear the same noise of
-the band, and a tenth of another; all others hear noise of their own: as coherent as a seabed that is frozen, for little time. No array's traces are the same to the
-sample, so what is found there is of no interest, only how long it takes.
+the band, and a tenth of another; all others hear noise of their own: as coherent as a seabed that is frozen, for little time.
+No array's traces are the same to the sample, so what is found there is of no interest, only how long it takes.
 """
 
 import argparse
