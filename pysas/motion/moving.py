@@ -20,8 +20,8 @@ def centres(echoes: Echoes) -> FloatArray:
 
 
 def scaled(data: ComplexArray) -> ComplexArray:
-    """Times the power of 2 that brings its largest part to between 1/2 and 1, unless its squares and fourth powers are numbers as
-    they are."""
+    """Times the power of 2 that brings its largest part to between 1/2 and 1, unless its squares and fourth powers are numbers
+    as they are."""
     peak = max(float(max(np.max(part, initial=0.0), -np.min(part, initial=0.0))) for part in (data.real, data.imag))
     exponent = -int(np.frexp(peak)[1])
     if abs(exponent) <= _MODERATE:
