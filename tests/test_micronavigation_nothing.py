@@ -162,3 +162,9 @@ def test_what_cannot_be_is_named():
         pysas.micronavigate(claim, elements=(0.1,))
     with pytest.raises(ValueError, match="19 pings: expected 20"):
         navigate(claim).apply(claim[:19])
+
+
+def test_noise_at_the_limit_of_coherence_bends_no_track():
+    """3 dB more noise than echo: what would be found is less sure than the wavelength, and 40 % worse than the claim."""
+    _, claim, _ = scene(pings=40, swath=(20.0, 32.0), targets=(), snr_db=-3.0, seed=3)
+    unchanged(claim, "by its own uncertainty")

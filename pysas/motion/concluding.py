@@ -18,6 +18,8 @@ _DOUBT = 1.0  # dB
 # how many times its own uncertainty a track has to mend: the square of the one bend that noise is mostly made of reaches so
 # many times its mean in one track of twelve (chi squared of one degree of freedom)
 _SURE = 3.0
+# dB of its own uncertainty, a phase of 4.8 rad over an aperture, beyond which a track is noise however much it seems to mend
+_LOST = 100.0
 _STILL = 0.1  # of the claimed way
 # standard deviations that are left of echoes (4 at most), and of the worst part of a prior: neither tells the truth. Right
 # priors left 1.8 and 3.3 at most where phase centres lie apart, those that bent a track 2.1 or 4.0 and more
@@ -58,10 +60,10 @@ def conclude(
     change, doubt, whole = _losses(claim[0], looks, pivot, slant, solution.equations, seen)
     doubt *= scale**2
     why = _wanting(solution, sought, claim[0], pivot, seen, coherence, track)
-    if why is None and whole and doubt > max(_DOUBT, change / _SURE):
+    if why is None and whole and doubt > min(max(_DOUBT, change / _SURE), _LOST):
         why = (
             f"what was found would cost an image {doubt:.2g} dB by its own uncertainty, and is worth {change:.2g} dB: not "
-            f"{_SURE:g} times as much"
+            f"{_SURE:g} times as much, or more than {_LOST:g} dB unsure"
         )
     found = why is None
     loss = np.array([change + doubt, doubt])
