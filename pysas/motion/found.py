@@ -8,7 +8,7 @@ import numpy as np
 
 from pysas._checks import FloatArray
 from pysas.model.echoes import Echoes
-from pysas.motion.moving import centres, moved
+from pysas.motion.moving import moved
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,7 +95,7 @@ class Motion:
         said = f"micronavigation: {self._largest()}"
         if echoes.attrs.get("motion") == said:
             raise ValueError(f"echoes: corrected already ({said}): expected those of the track that was corrected")
-        return applied(echoes, self.pivot, self.shift, self.yaw, velocity).replace(attrs={**echoes.attrs, "motion": said})
+        return moved(echoes, self.shift, self.yaw, velocity, self.pivot).replace(attrs={**echoes.attrs, "motion": said})
 
     def _largest(self) -> str:
         shift = 1e3 * float(np.max(np.linalg.norm(self.shift, axis=1)))
@@ -130,14 +130,6 @@ class Motion:
         return "\n".join(lines)
 
     __repr__ = __str__
-
-
-def applied(echoes: Echoes, pivot: FloatArray, shift: FloatArray, yaw: FloatArray, velocity: str) -> Echoes:
-    """Echoes of a track shifted, and turned about other places than their own phase centres' mean."""
-    arm = centres(echoes) - pivot
-    cosine, sine = np.cos(yaw) - 1, np.sin(yaw)
-    swing = np.stack([cosine * arm[:, 0] - sine * arm[:, 1], sine * arm[:, 0] + cosine * arm[:, 1], 0 * yaw], axis=1)
-    return moved(echoes, shift + swing, yaw, velocity)
 
 
 def _decibels(loss: float) -> str:

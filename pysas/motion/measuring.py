@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pysas._checks import ComplexArray, FloatArray
 from pysas.model.echoes import Echoes
 from pysas.motion.phase_centres import MOST_BESIDE, MOST_PAIRS, Rows, Side
-from pysas.motion.surging import mean_square_sine, surges
+from pysas.motion.surging import mean_square_sine, peak, surges
 
 FIRST_REACH, REACH = 6, 3  # lags read on either side, samples: an arrival is looked for within FIRST_REACH/2, then within 1
 _FINER = 8  # lags looked at per sample
@@ -114,7 +114,7 @@ def _reduced(side: Side, rows: Rows, reach: int, first: bool) -> Measured:
     height = np.zeros((len(rows.used), fine.size))
     for slot in np.flatnonzero(base):
         height += np.sum(np.abs(rows.products[:, slot] @ filters) ** 2 * rows.count[:, slot, :, None], axis=1)
-    envelope = _peak(height, fine)
+    envelope = peak(height, fine)
     centred = rows.products[..., reach]
     # how well the envelope's peak is known, of all windows together, samples
     number = np.sum(rows.count[:, base], axis=(1, 2))
@@ -164,12 +164,3 @@ def _interpolator(at: FloatArray, reach: int, cycle: float) -> ComplexArray:
     away = at[None, :] - from_
     inside = np.clip(1 - (away / (reach + 1)) ** 2, 0, None)
     return np.asarray(np.sinc(away) * np.i0(4.0 * np.sqrt(inside)) / np.i0(4.0) * np.exp(2j * np.pi * away / cycle))
-
-
-def _peak(height: FloatArray, at: FloatArray) -> FloatArray:
-    """Place of the largest of each row, by a parabola."""
-    top = np.clip(np.argmax(height, axis=1), 1, height.shape[1] - 2)
-    row = np.arange(len(height))
-    left, middle, right = (height[row, top + k] for k in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    return np.asarray(at[top] + (at[1] - at[0]) * np.clip(0.5 * (left - right) / np.where(bend < 0, bend, -np.inf), -1, 1))

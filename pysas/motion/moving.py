@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from pysas._checks import ComplexArray, FloatArray
+from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 
 _MODERATE = 20  # powers of 2
@@ -46,8 +47,10 @@ def times(echoes: Echoes) -> FloatArray | None:
     return np.concatenate([[0.0], np.cumsum(way / mean)])
 
 
-def moved(echoes: Echoes, shift: FloatArray, turn: FloatArray, velocity: str = "follow") -> Echoes:
-    """Echoes whose pings' arrays are shifted, and turned about their phase centres' mean.
+def moved(
+    echoes: Echoes, shift: FloatArray, turn: FloatArray, velocity: str = "follow", pivot: FloatArray | None = None
+) -> Echoes:
+    """Echoes whose pings' arrays are shifted, and turned about their phase centres' mean or another place.
 
     Parameters
     ----------
@@ -59,8 +62,10 @@ def moved(echoes: Echoes, shift: FloatArray, turn: FloatArray, velocity: str = "
     velocity : "follow" or "keep"
         Whether the velocity came from the claimed track, and so changes by what the correction does from ping to ping, or was
         measured by itself. "follow" needs to know when pings were sent; without a velocity (stop-and-hop) nothing follows.
+    pivot : (ping, 3), optional
+        What the arrays turn about, m: of several sides of a sonar one place. Default: `centres` of these echoes.
     """
-    pivot = centres(echoes)
+    pivot = centres(echoes) if pivot is None else pivot
     cosine, sine = np.cos(turn), np.sin(turn)
 
     def turned(vectors: FloatArray) -> FloatArray:
@@ -85,6 +90,6 @@ def moved(echoes: Echoes, shift: FloatArray, turn: FloatArray, velocity: str = "
     beam = echoes.beam
     if beam is not None:
         look = turned(np.broadcast_to(beam.boresights, (echoes.n_ping, 3)))
-        axis = None if beam.shape != "fan" else turned(np.broadcast_to(beam.axes, (echoes.n_ping, 3)))
+        axis = None if beam.shape != FAN else turned(np.broadcast_to(beam.axes, (echoes.n_ping, 3)))
         beam = dataclasses.replace(beam, boresight=look, axis=axis)
     return echoes.replace(tx=tx, rx=rx.reshape(echoes.rx.shape), velocity=speeds, beam=beam)

@@ -11,9 +11,9 @@ from pysas._checks import FloatArray
 from pysas.model.echoes import Echoes
 from pysas.motion import correlating
 from pysas.motion.concluding import Solution, conclude
-from pysas.motion.found import Motion, applied
+from pysas.motion.found import Motion
 from pysas.motion.measuring import Measured, measure, seek
-from pysas.motion.moving import VELOCITIES, centres, times
+from pysas.motion.moving import VELOCITIES, centres, moved, times
 from pysas.motion.phase_centres import Side, axes, centre_step
 from pysas.motion.priors import Prior
 from pysas.motion.solution import Beliefs, Equations
@@ -111,7 +111,7 @@ def micronavigate(
     track, views = start, claim
     for number in range(iterations):
         if number or start.any():
-            now = [applied(one, pivot, track[:, :3], track[:, 3], velocity) for one in sides]
+            now = [moved(one, track[:, :3], track[:, 3], velocity, pivot) for one in sides]
             place = pivot + track[:, :3]
             views = [Side(one, place, size, seabed) for one, size in zip(now, lengths, strict=True)]
         measured = [measure(view, windows, number == 0, lags, tol, threads) for view in views]
@@ -138,39 +138,28 @@ def _sides(echoes: Echoes | Sequence[Echoes]) -> list[Echoes]:
             raise ValueError(f"echoes: sides of {sides[0].n_ping} and {one.n_ping} pings: expected the same pings")
         if one.n_ping < 2:
             raise ValueError("echoes: one ping: expected at least two, of which a later one is compared with one before it")
-        _require_finite(one)
         _require_own_noise(one)
     return sides
 
 
-def _require_finite(echoes: Echoes) -> None:
-    at = np.arange(echoes.n_sample)
-    for ping, traces in enumerate(echoes.traces):
+def _require_own_noise(echoes: Echoes) -> None:
+    """Of each ping, whose samples are numbers: one that was recorded again, be it with another gain, says that the sonar stood
+    still."""
+    before = power = None
+    for ping, traces in enumerate(echoes.whole().traces):
         bad = ~np.isfinite(traces)
         if bad.any():
-            first, last = echoes.windows[ping].T
-            bad &= (at >= first[:, None]) & (at <= last[:, None])
-            if bad.any():
-                where = f"ping {ping}, channel {int(np.argmax(bad.any(axis=1)))}"
-                raise ValueError(f"echoes: non-finite sample at {where}: expected finite ones, or compress(raw, nan='mask')")
-
-
-def _require_own_noise(echoes: Echoes) -> None:
-    """Of each ping: one that was recorded again, be it with another gain, says that the sonar stood still."""
-    before = None
-    for ping, traces in enumerate(echoes.traces):
+            where = f"ping {ping}, channel {int(np.argmax(bad.any(axis=1)))}"
+            raise ValueError(f"echoes: non-finite sample at {where}: expected finite ones, or compress(raw, nan='mask')")
         now = traces.astype(np.complex128)
-        at = np.arange(echoes.n_sample)
-        first, last = echoes.windows[ping].T
-        now[(at < first[:, None]) | (at > last[:, None])] = 0
         size = np.max(np.abs(now), axis=1, keepdims=True)
         now /= np.where(size > 0, size, 1.0)
+        own = np.sum(np.abs(now) ** 2, axis=1)
         if before is not None:
-            alike = np.abs(np.sum(now * before.conj(), axis=1)) ** 2
-            most = np.sum(np.abs(now) ** 2, axis=1) * np.sum(np.abs(before) ** 2, axis=1)
+            alike, most = np.abs(np.sum(now * before.conj(), axis=1)) ** 2, own * power
             if np.any((alike >= (1 - _ALIKE) * most) & (most > 0)):
                 raise ValueError(f"echoes: ping {ping} repeats the samples of ping {ping - 1}: expected noise of its own")
-        before = now
+        before, power = now, own
 
 
 def _lengths(echoes: Echoes, elements: tuple[float, float] | None) -> tuple[float, float]:

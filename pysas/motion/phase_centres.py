@@ -7,6 +7,7 @@ correlated window by window. The phase says how much nearer the later one was, t
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,7 @@ from pysas.imaging.contributions import along_lines
 from pysas.model.beam import FAN
 from pysas.model.echoes import Echoes
 from pysas.motion import correlating
-from pysas.motion.moving import scaled
+from pysas.motion.moving import centres, scaled
 
 MOST_PAIRS, MOST_BESIDE = 12, 4  # of channels at the nearest separation, and at each of those a step or more away
 _BATCH_BYTES = 100e6  # of the samples of both traces of each pair
@@ -37,7 +38,7 @@ IntArray = npt.NDArray[np.int64]
 class Rows:
     """Of pairs of pings, slots of channel pairs and windows: products (lag last, normalised to coherence) and what they need.
 
-    first, second : (pair, slot) channels; used : (pair, slot); order : (slot,) separations' number, 0 the nearest.
+    used : (pair, slot); order : (slot,) separations' number, 0 the nearest.
     separation : (pair, slot) along the claimed forward direction, m; apart (pair, slot, 3); arms (pair, slot, 2, 2).
     products : (pair, slot, window, lag); count (pair, slot, window) independent samples; looks (pair, window, 3); ahead
         (pair, 3).
@@ -62,7 +63,8 @@ class Side:
         self.echoes, self.elements, self.seabed = echoes, elements, seabed
         self.centres = (echoes.tx[:, None] + echoes.receivers) / 2
         self.arms = (self.centres - pivot[:, None])[..., :2]
-        self.axis, self.forward = axes(echoes)
+        axis, self.forward = axes(echoes)
+        self.across, self.up = _plane(axis, echoes)
         self.step = centre_step(echoes, self.forward)
 
     def ahead(self, low: int, high: int) -> FloatArray:
@@ -113,22 +115,26 @@ class Side:
         ValueError
             None within the record; fewer than 8 samples.
         """
-        echoes = self.echoes
-        step = float(np.mean(echoes.speeds)) / (2 * echoes.fs)
+        step = float(np.mean(self.echoes.speeds)) / (2 * self.echoes.fs)
         length = int(round(size / step))
-        height = np.abs(self.seabed - self.centres[..., 2].mean(axis=1))
-        steep = np.abs(_plane(self.axis, echoes)[1][:, 2])
-        reached = height / (steep * _GRAZING)
-        beside = _BESIDE_ENDS if echoes.n_sample >= 30 * _BESIDE_ENDS else 0
-        begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), beside)
-        count = (echoes.n_sample - beside - begin) // max(length, 1)
+        begin, end = self._within
+        count = (end - begin) // max(length, 1)
         if length < 8 or count < 1:
-            seen = max(echoes.n_sample - beside - begin, 0) * step
+            seen = max(end - begin, 0) * step
             raise ValueError(
                 f"windows={size:g}: expected at least 8 samples ({8 * step:.3g} m), and at most the {seen:.3g} m of slant "
                 f"range that the record has of a seabed at z = {self.seabed:g} m"
             )
         return begin, length, count
+
+    @functools.cached_property
+    def _within(self) -> tuple[int, int]:
+        """First sample at which every ping sees the seabed, and the end of those that are read."""
+        echoes = self.echoes
+        reached = np.abs(self.seabed - self.centres[..., 2].mean(axis=1)) / (np.abs(self.up[:, 2]) * _GRAZING)
+        beside = _BESIDE_ENDS if echoes.n_sample >= 30 * _BESIDE_ENDS else 0
+        begin = max(int(np.ceil(np.max((2 * reached / echoes.speeds - echoes.start_time) * echoes.fs))), beside)
+        return begin, echoes.n_sample - beside
 
     def batches(self, slots: int) -> Iterator[tuple[int, int]]:
         """Pings low ... high - 1 whose lines fit into memory."""
@@ -190,7 +196,7 @@ class Side:
         rate = np.zeros_like(start)
         if echoes.receiver_velocity is not None:
             rate = hear * echoes.receiver_velocity[which, channel].mean(axis=0) * (2 / speed)[:, None]
-        across, up = (direction[which].mean(axis=0) for direction in _plane(self.axis, echoes))
+        across, up = (direction[which].mean(axis=0) for direction in (self.across, self.up))
         across, up = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (across, up))
 
         def sight(sample: npt.NDArray[Any]) -> tuple[FloatArray, FloatArray]:
@@ -224,7 +230,7 @@ def axes(echoes: Echoes) -> tuple[FloatArray, FloatArray]:
         ping = int(np.argmin(size))
         look = beam.boresights[ping % len(beam.boresights)]
         raise ValueError(f"echoes: beam: boresight {look} at ping {ping}: expected one off the vertical")
-    way = np.gradient((echoes.tx + echoes.receivers.mean(axis=1)) / 2, axis=0)
+    way = np.gradient(centres(echoes), axis=0)
     sign = -1.0 if np.sum(level * way) < 0 else 1.0
     return np.asarray(sign * axis / np.linalg.norm(axis, axis=1, keepdims=True)), np.asarray(sign * level / size)
 

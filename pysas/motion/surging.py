@@ -34,6 +34,15 @@ def mean_square_sine(elements: tuple[float, float], wavelength: FloatArray) -> F
     return np.asarray((wavelength / (2 * np.pi)) ** 2 * 2 / long / (short - short**2 / (3 * long)))
 
 
+def peak(height: FloatArray, at: FloatArray) -> FloatArray:
+    """Place of the largest of each row, by a parabola."""
+    top = np.clip(np.argmax(height, axis=1), 1, height.shape[1] - 2)
+    row = np.arange(len(height))
+    left, middle, right = (height[row, top + k] for k in (-1, 0, 1))
+    bend = left - 2 * middle + right
+    return np.asarray(at[top] + (at[1] - at[0]) * np.clip(0.5 * (left - right) / np.where(bend < 0, bend, -np.inf), -1, 1))
+
+
 def surges(
     separation: FloatArray,
     squared: FloatArray,
@@ -59,7 +68,7 @@ def surges(
     left, middle, right = (cost[row, top + k] for k in (-1, 0, 1))
     bend = np.maximum(left - 2 * middle + right, 1e-30)
     spacing = shift[1] - shift[0]
-    found = shift[top] + spacing * np.clip(0.5 * (left - right) / bend, -1, 1)
+    found = peak(-cost, shift)
     free = np.maximum(weight.sum(axis=1) - 2, 1)
     sigma = np.sqrt(2 * np.clip(cost.min(axis=1), 0, None) / free / (bend / spacing**2) + LEAST_SIGMA**2)
     known = (best == top) & (weight.sum(axis=1) >= 3) & (sigma < step / 2)
