@@ -9,13 +9,14 @@ import scipy.io
 import scipy.io.wavfile
 
 import pysas
-from pysas.navigation import Poses, euler, geometry
+from pysas.navigation import Geometry, Poses, euler, geometry
 
 FC, BAND, BED, LEAD = 100e3, 36e3, 20.0, 200
 PROUD, LAYOVER = 4, -0.127  # m: what the recording's own description says of the fifth target
 
 
-def echoes_of(folder: Path, navigation: str) -> tuple[pysas.Echoes, np.ndarray]:
+def recorded(folder: Path, navigation: str) -> tuple[pysas.Echoes, Geometry]:
+    """Compressed echoes, and where the sonar was, as its navigation says."""
     survey = scipy.io.loadmat(folder / "survey.mat")
     fs, c, t0 = (survey[name].item() for name in ("fs", "c", "t_delay"))
     nav, pings = pysas.read_table(folder / navigation), pysas.read_table(folder / "pings.csv")
@@ -32,7 +33,13 @@ def echoes_of(folder: Path, navigation: str) -> tuple[pysas.Echoes, np.ndarray]:
         data, fs=rate, fc=FC, t0=t0, c=c, tx=where.tx, rx=where.rx, velocity=where.velocity, ping_time=where.ping_time,
         bandwidth=30e3, compressed=False,
     )  # fmt: skip
+    return pysas.compress(raw, pulse=pulse, pulse_t0=-LEAD / fs), where
+
+
+def echoes_of(folder: Path, navigation: str) -> tuple[pysas.Echoes, np.ndarray]:
+    """The same, and where targets are imaged."""
+    echoes, where = recorded(folder, navigation)
     truth = pysas.read_table(folder / "targets.csv")
     targets = where.frame.from_geodetic(truth["lat"], truth["lon"], truth["depth"])
     targets[PROUD] = [targets[PROUD, 0], targets[PROUD, 1] + LAYOVER, BED]
-    return pysas.compress(raw, pulse=pulse, pulse_t0=-LEAD / fs), targets
+    return echoes, targets

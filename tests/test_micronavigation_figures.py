@@ -81,13 +81,18 @@ def test_a_line_with_more_sway_and_noise():
     assert error < 2.0 and decibels < 1.5
 
 
+def with_an_inertial_system(overlap):
+    """Of each seed 40 pings with the true track, with an inertial system's claim, what was found with its prior, the truth."""
+    for seed in SEEDS:
+        true, _, truth = scene(pings=40, overlap=overlap, snr_db=20.0, seed=seed)
+        claim = motion_scenes.claimed(true, pysas.tracks.inertial(truth.track, seed=seed))
+        yield true, claim, navigate(claim, prior=Prior(speed=6e-3, gyro=1e-5, depth=5e-4)), truth
+
+
 def test_an_inertial_system_and_one_overlapping_centre():
     """K = 1, gyro 10 urad a ping, 40 pings: 0.15 mm, 0.15 dB."""
     rows = []
-    for seed in SEEDS:
-        true, _, truth = scene(pings=40, overlap=1, snr_db=20.0, seed=seed)
-        claim = motion_scenes.claimed(true, pysas.tracks.inertial(truth.track, seed=seed))
-        motion = navigate(claim, prior=Prior(speed=6e-3, gyro=1e-5, depth=5e-4))
+    for true, claim, motion, truth in with_an_inertial_system(1):
         fixed = motion.apply(claim)
         rows.append((slant(claim, true), slant(fixed, true), loss(fixed, true, truth.targets)))
         assert motion.residual[1] < 1.5
@@ -150,10 +155,7 @@ def test_other_lines(name, most, more):
 def test_no_overlapping_centre_and_an_inertial_system():
     """K = 0: the nearest phase centres lie 25 mm apart, with a coherence of 0.6."""
     rows = []
-    for seed in SEEDS:
-        true, _, truth = scene(pings=40, overlap=0, snr_db=20.0, seed=seed)
-        claim = motion_scenes.claimed(true, pysas.tracks.inertial(truth.track, seed=seed))
-        motion = navigate(claim, prior=Prior(speed=6e-3, gyro=1e-5, depth=5e-4))
+    for true, claim, motion, _ in with_an_inertial_system(0):
         rows.append((slant(claim, true), slant(motion.apply(claim), true)))
     assert worst("40 pings, K = 0, INS: claimed mm, found mm", rows)[1] < 0.6
 

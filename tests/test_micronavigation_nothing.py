@@ -7,12 +7,11 @@ import dataclasses
 import motion_scenes
 import numpy as np
 import pytest
-import scipy.io
+from recorder_scene import BED, recorded
 from test_micronavigation import navigate, scene, slant, small
 
 import pysas
 from pysas.motion.priors import Prior
-from pysas.navigation import Poses, euler, geometry
 
 # estimators, not engines: see test_micronavigation.py
 pytestmark = pytest.mark.cpp
@@ -30,25 +29,11 @@ def test_bright_points_do_not_stand_in_for_an_overlap():
 
 def test_the_recorder_s_points_are_no_seabed(data_dir):
     """Six points, which a third of the pings see, and noise: nothing is found, whatever the windows, and the track stays."""
-    folder = data_dir / "recorder"
-    matlab = scipy.io.loadmat(folder / "survey.mat")
-    fs, c, t0 = (matlab[name].item() for name in ("fs", "c", "t_delay"))
-    nav, pings = pysas.read_table(folder / "nav_bad.csv"), pysas.read_table(folder / "pings.csv")
-    arms = pysas.read_table(folder / "levers.csv", text=["name"])["x", "y", "z"]
-    adc = np.memmap(folder / "adc.bin", "<i2", "r").reshape(len(pings), len(arms) - 1, -1)
-    data, rate = pysas.demodulate(adc, fs, 100e3, bandwidth=36e3, t0=t0)
-    pulse, _ = pysas.demodulate(np.pad(matlab["replica"].ravel(), 200), fs, 100e3, bandwidth=36e3, t0=-200 / fs)
-    attitude = euler(nav["roll"], nav["pitch"], nav["heading"], degrees=True, source=nav.path)
-    poses = Poses.from_geodetic(nav["time"], nav["lat"], nav["lon"], attitude, depth=nav["depth"], source=nav.path)
-    where = geometry(poses, pings["time"], tx=arms[0], rx=arms[1:], pulse_centre=0.0, travel_time=(t0, t0 + adc.shape[2] / fs))
+    echoes, where = recorded(data_dir / "recorder", "nav_bad.csv")
     beam = pysas.Beam(where.attitude.apply([0, 1, 0]), 0.06, 0.25, axis=where.attitude.apply([1, 0, 0]))
-    raw = pysas.Echoes(
-        data, fs=rate, fc=100e3, t0=t0, c=c, tx=where.tx, rx=where.rx, velocity=where.velocity, compressed=False, beam=beam,
-        ping_time=where.ping_time,
-    )  # fmt: skip
-    echoes = pysas.compress(raw, pulse=pulse, pulse_t0=-200 / fs)
+    echoes = echoes.replace(beam=beam)
     for size in (0.5, 1.0, 2.5):
-        motion = pysas.micronavigate(echoes, 20.0, elements=(0.06, 0.05), windows=size)
+        motion = pysas.micronavigate(echoes, BED, elements=(0.06, 0.05), windows=size)
         assert not motion.found and motion.apply(echoes) is echoes
 
 
