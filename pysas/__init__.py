@@ -12,6 +12,8 @@ import numpy as _numpy  # noqa: F401  by one thread, before names are asked for 
 if TYPE_CHECKING:
     from pysas import circular, comparison, metrics, motion, navigation, plot, reference, simulation, tracks
     from pysas.engine import get_include, get_library, show_config
+    from pysas.formats.echo_store import EchoStore, open_echoes
+    from pysas.formats.growing import EchoWriter
     from pysas.formats.io import load, load_echoes, load_image, save
     from pysas.formats.tables import read_table
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
@@ -34,15 +36,18 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "LFM", "Beam", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "align_points", "autofocus", "backproject",
-    "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus", "from_phase_history",
-    "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics", "micronavigate", "motion",
-    "navigation", "plan", "plot", "read_table", "reference", "save", "show_config", "simulate", "simulation", "tracks",
+    "LFM", "Beam", "EchoStore", "EchoWriter", "Echoes", "Finding", "Grid", "Image", "Report", "Strip", "align_points",
+    "autofocus", "backproject", "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus",
+    "from_phase_history", "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics",
+    "micronavigate", "motion", "navigation", "open_echoes", "plan", "plot", "read_table", "reference", "save",
+    "show_config", "simulate", "simulation", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules
 _MODULES = {
     "engine": ("get_include", "get_library", "show_config"),
+    "formats.echo_store": ("EchoStore", "open_echoes"),
+    "formats.growing": ("EchoWriter",),
     "formats.io": ("load", "load_echoes", "load_image", "save"),
     "formats.tables": ("read_table",),
     "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),

@@ -24,12 +24,13 @@ EDGE = {"pysas", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = ("pysas.engine", "pysas.planning", "pysas.imaging")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
-OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft"}
+OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft", "zarr", "dask", "distributed", "rasterio", "pyproj"}
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
     "backproject", "ffbp", "focus", "plan", "simulate", "compress", "demodulate", "load", "load_echoes", "load_image", "save",
     "from_phase_history", "show_config", "get_include", "get_library", "inspect", "read_table", "align_points", "autofocus",
+    "open_echoes",
 }  # fmt: skip
 
 

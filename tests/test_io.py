@@ -663,9 +663,9 @@ def test_a_failure_in_the_middle_of_a_write(suffix: str, tmp_path: Path, monkeyp
     path = tmp_path / f"survey{suffix}"
     io.save(path, survey())
     before = path.read_bytes()
-    fields: Callable[[Echoes], dict[str, np.ndarray]] = io._echo_fields
+    fields: Callable[[Echoes], dict[str, np.ndarray]] = io.echo_fields
     bad = np.array([object()])
-    monkeypatch.setattr(io, "_echo_fields", lambda echoes: fields(echoes) | {"zz": bad})
+    monkeypatch.setattr(io, "echo_fields", lambda echoes: fields(echoes) | {"zz": bad})
     with pytest.raises((ValueError, TypeError)):
         io.save(path, survey())
     assert path.read_bytes() == before

@@ -102,7 +102,7 @@ def test_public_names_exist() -> None:
 
 
 def test_import_loads_no_optional_library() -> None:
-    code = "import sys; from pysas import *; print([n for n in ('matplotlib', 'h5py', 'xarray', 'pandas') if n in sys.modules])"
+    code = "import sys; from pysas import *; print([n for n in ('matplotlib', 'h5py', 'xarray', 'pandas', 'zarr') if n in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert result.stdout.strip() == "[]"
 

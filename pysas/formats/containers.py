@@ -16,18 +16,17 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pysas import _checks
+from pysas.formats.fields import Array, File, Streamed, allocated, blamed, bytes_of
 
-Array = npt.NDArray[Any]
 Open = Callable[[IO[bytes]], contextlib.AbstractContextManager["File"]]
-Write = Callable[[IO[bytes], Mapping[str, Array]], None]
+Write = Callable[[IO[bytes], "Mapping[str, Array | Streamed]"], None]
 
 _MOST_EXPANSION = 1032  # deflate cannot expand by more ("Maximum Compression Factor", zlib technical details)
 _MOST_HEADER = 2**16  # of an array in .npz; numpy's own take a hundred bytes
@@ -36,11 +35,6 @@ _BLOCK_BYTES = 2**24  # written at once
 _COMPACT_BYTES = 60_000  # HDF5 keeps data of less than 64 KiB in the (checksummed) object header where asked
 _SAFE_FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, Fletcher-32, LZF: built in, and none expands by more than deflate
 _CHECKSUM = "crc32"
-KINDS = {  # what an error says, and dtypes without byte order
-    "samples": ("complex64 or complex128", ("c8", "c16")), "real": ("float64", ("f8",)), "bool": ("bool", ("b1",)),
-    "whole": ("int64 or int32", ("i8", "i4")),
-    "truth": ("float64 or complex128", ("f8", "c16")), "text": ("a string", ()), "flag": ("bool or uint8", ("b1", "u1")),
-}  # fmt: skip
 
 
 def container(path: str) -> tuple[Open, Write]:
@@ -52,97 +46,6 @@ def container(path: str) -> tuple[Open, Write]:
         raise ValueError(f"{path}: found suffix {suffix!r}, expected .npz or .h5")
     _h5py()
     return _open_h5, _write_h5
-
-
-@contextlib.contextmanager
-def _blamed(name: str, what: str = "") -> Iterator[None]:
-    """Whatever zipfile, zlib, numpy and h5py say of wrong bytes, as a ValueError that names the field."""
-    try:
-        yield
-    except MemoryError:
-        raise
-    except Exception as error:
-        said = str(error) or type(error).__name__
-        raise ValueError(f"{name}: {what} ({said})" if what else f"{name}: {said}") from error
-
-
-def _allocated(name: str, shape: tuple[int, ...], dtype: np.dtype[Any], order: Any = "C") -> Array:
-    try:
-        return np.empty(shape, dtype=dtype, order=order)
-    except MemoryError:
-        size = math.prod(shape) * dtype.itemsize
-        raise MemoryError(f"{name}: no memory for {size / 2**20:.0f} MiB, {dtype} of shape {shape}") from None
-
-
-def _bytes(array: Array) -> Array:
-    """The bytes of a contiguous array, not copied."""
-    return array.reshape(-1, order="A").view(np.uint8) if array.nbytes else np.empty(0, dtype=np.uint8)
-
-
-class File:
-    """An open file: `fields` gives the shape and dtype that each field declares, found to agree with its bytes."""
-
-    fields: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
-    pairs: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]  # what fields declare that are taken as complex
-
-    def read(self, name: str) -> Array:
-        """The field's entries."""
-        if name not in self.pairs:
-            return self._read(name, *self.fields[name])
-        parts = np.ascontiguousarray(self._read(name, *self.pairs[name]))
-        return np.asarray(parts.view(self.fields[name][1])[..., 0])
-
-    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-        raise NotImplementedError
-
-    def take_pairs(self, names: Iterable[str]) -> None:
-        """Take real fields of these names as complex whose last axis is real and imaginary part, as some programs write."""
-        for name in names:
-            shape, dtype = self.fields.get(name, ((), np.dtype(object)))
-            if dtype.kind == "f" and len(shape) > 1 and shape[-1] == 2:
-                self.pairs[name] = shape, dtype
-                self.fields[name] = shape[:-1], np.dtype(f"{dtype.str[0]}c{2 * dtype.itemsize}")
-
-    def text(self, name: str) -> str:
-        """A string field."""
-        self.check({name: ("text", "")}, [name])
-        value = self.read(name).reshape(-1)[0]
-        try:
-            return value.decode("utf-8") if isinstance(value, bytes) else str(value)
-        except UnicodeDecodeError:
-            raise ValueError(f"{name}: found {value!r:.60}, expected UTF-8 text") from None
-
-    def together(self, names: tuple[str, ...]) -> bool:
-        """Whether a group of fields is there; part of one is an error."""
-        missing = [name for name in names if name not in self.fields]
-        if 0 < len(missing) < len(names):
-            there = next(name for name in names if name in self.fields)
-            raise ValueError(f"{missing[0]}: missing, expected beside {there}")
-        return not missing
-
-    def check(self, table: Mapping[str, tuple[str, ...]], needed: Iterable[str]) -> None:
-        """Presence, dtypes and shapes, against the schema and each other; nothing is read."""
-        for name in needed:
-            if name not in self.fields:
-                raise ValueError(f"{name}: missing, expected {KINDS[table[name][0]][0]}")
-        sizes: dict[str, int] = {}
-        for name, (kind, *shapes) in sorted(table.items(), key=lambda item: item[0] != "data"):
-            if name not in self.fields:
-                continue
-            shape, dtype = self.fields[name]
-            if not (dtype.kind in "US" and math.prod(shape) == 1 if kind == "text" else dtype.str[1:] in KINDS[kind][1]):
-                raise ValueError(f"{name}: found {dtype} of shape {shape}, expected {KINDS[kind][0]}")
-            if kind == "text":
-                continue
-            for words in map(str.split, shapes):
-                wanted = [int(word) if word.isdigit() else sizes.get(word, n) for word, n in zip(words, shape, strict=False)]
-                if len(words) == len(shape) and tuple(wanted) == shape:
-                    sizes |= {word: n for word, n in zip(words, shape, strict=True) if not word.isdigit()}
-                    break
-            else:
-                known = [" ".join(f"{w}={sizes[w]}" if w in sizes else w for w in words.split()) for words in shapes]
-                text = " or ".join(f"({one.replace(' ', ', ')}{',' * (one != '' and ' ' not in one)})" for one in known)
-                raise ValueError(f"{name}: found shape {shape}, expected {text}")
 
 
 class _Bounded:
@@ -161,17 +64,17 @@ class _Bounded:
 
 
 class _Npz(File):
-    def __init__(self, archive: zipfile.ZipFile, size: int) -> None:
-        self._archive, self._size = archive, size
+    def __init__(self, archive: zipfile.ZipFile, file: IO[bytes], size: int) -> None:
+        self._archive, self._file, self._size = archive, file, size
         self._members: dict[str, zipfile.ZipInfo] = {}
         self._start: dict[str, tuple[int, bool]] = {}
-        self.fields, self.pairs = {}, {}
+        self.fields, self.pairs, self._followed = {}, {}, {}
         for info in archive.infolist():
             name = info.filename.removesuffix(".npy")
             if name in self._members:
                 raise ValueError(f"{name}: found twice, expected one member of that name")
             self._members[name] = info
-            with _blamed(name, "damaged or not .npy"):
+            with blamed(name, "damaged or not .npy"):
                 self._describe(name, info)
 
     def _describe(self, name: str, info: zipfile.ZipInfo) -> None:
@@ -199,9 +102,9 @@ class _Npz(File):
         if dtype.hasobject:
             raise ValueError(f"{name}: found {dtype}, expected no Python objects")
         start, fortran = self._start[name]
-        array = _allocated(name, shape, dtype, "F" if fortran else "C")
-        target = _bytes(array)
-        with _blamed(name, "damaged"), self._archive.open(self._members[name]) as stream:
+        array = allocated(name, shape, dtype, "F" if fortran else "C")
+        target = bytes_of(array)
+        with blamed(name, "damaged"), self._archive.open(self._members[name]) as stream:
             stream.read(start)
             done = 0
             while done < target.size:
@@ -213,27 +116,54 @@ class _Npz(File):
             stream.read(1)  # the end: here zipfile compares the checksum
         return array
 
+    def reads_rows(self, name: str) -> bool:
+        return self._members[name].compress_type == zipfile.ZIP_STORED and not self._start[name][1]
+
+    def _rows(self, name: str, first: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        array = allocated(name, shape, dtype)
+        self._file.seek(self._place(name) + self._start[name][0] + first * math.prod(shape[1:]) * dtype.itemsize)
+        if (found := self._file.readinto(bytes_of(array))) != array.nbytes:  # type: ignore[attr-defined]
+            raise ValueError(f"{name}: damaged: ends {array.nbytes - found} bytes early")
+        return array
+
+    def _place(self, name: str) -> int:
+        """Where a member's bytes begin: behind its local header, whose name and extra field have lengths of their own."""
+        info = self._members[name]
+        self._file.seek(info.header_offset)
+        head = self._file.read(30)
+        return info.header_offset + 30 + int.from_bytes(head[26:28], "little") + int.from_bytes(head[28:30], "little")
+
+    def _checksums(self, name: str) -> tuple[int, int] | None:
+        self._file.seek(self._place(name))
+        return zlib.crc32(self._file.read(self._start[name][0])), self._members[name].CRC
+
 
 @contextlib.contextmanager
 def _open_npz(file: IO[bytes]) -> Iterator[File]:
     size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(_Bounded(file)) as archive:
-        yield _Npz(archive, size)
+        yield _Npz(archive, file, size)
 
 
-def _write_npz(file: IO[bytes], fields: Mapping[str, Array]) -> None:
+def _write_npz(file: IO[bytes], fields: Mapping[str, Array | Streamed]) -> None:
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in fields.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, array, allow_pickle=False)
+                if not isinstance(array, Streamed):
+                    np.lib.format.write_array(stream, array, allow_pickle=False)
+                    continue
+                header = {"descr": array.dtype.str, "fortran_order": False, "shape": array.shape}
+                np.lib.format.write_array_header_1_0(stream, header)
+                for block in _blocks(array):
+                    stream.write(block.data)
 
 
 class _H5(File):
     def __init__(self, file: Any, size: int) -> None:
         self._file, self._size = file, size
-        self.fields, self.pairs = {}, {}
+        self.fields, self.pairs, self._followed = {}, {}, {}
         for name in file:
-            with _blamed(name):
+            with blamed(name):
                 self._describe(name)
 
     def _describe(self, name: str) -> None:
@@ -268,19 +198,31 @@ class _H5(File):
     def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         item = self._file[name]
         if dtype.kind == "U":  # of a length that only its bytes tell
-            with _blamed(name, "damaged"):
+            with blamed(name, "damaged"):
                 return np.asarray(item[()])
-        array = _allocated(name, shape, dtype)
-        with _blamed(name, "damaged"):
+        array = allocated(name, shape, dtype)
+        with blamed(name, "damaged"):
             if array.size:
                 item.read_direct(array)
-            if _CHECKSUM in item.attrs:
-                kept = item.attrs.get_id(_CHECKSUM)
-                if kept.shape != () or kept.dtype.kind != "u":
-                    raise ValueError(f"found {kept.dtype} of shape {kept.shape} for {_CHECKSUM}, expected a whole number")
-                if zlib.crc32(_bytes(array).data) != item.attrs[_CHECKSUM]:
-                    raise ValueError("found other bytes than were written, by their CRC-32")
+            if (kept := self._checksums(name)) is not None and zlib.crc32(bytes_of(array).data) != kept[1]:
+                raise ValueError("found other bytes than were written, by their CRC-32")
         return array
+
+    def _rows(self, name: str, first: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        array = allocated(name, shape, dtype)
+        with blamed(name, "damaged"):
+            if array.size:
+                self._file[name].read_direct(array, np.s_[first : first + shape[0]])
+        return array
+
+    def _checksums(self, name: str) -> tuple[int, int] | None:
+        attributes = self._file[name].attrs
+        if _CHECKSUM not in attributes:
+            return None
+        kept = attributes.get_id(_CHECKSUM)
+        if kept.shape != () or kept.dtype.kind != "u":
+            raise ValueError(f"found {kept.dtype} of shape {kept.shape} for {_CHECKSUM}, expected a whole number")
+        return 0, int(attributes[_CHECKSUM])
 
 
 @contextlib.contextmanager
@@ -332,11 +274,12 @@ class _Pages(io.RawIOBase):
         return self._end
 
 
-def _write_h5(file: IO[bytes], fields: Mapping[str, Array]) -> None:
+def _write_h5(file: IO[bytes], fields: Mapping[str, Array | Streamed]) -> None:
     h5py = _h5py()
-    arrays, checks = {}, {}
+    arrays: dict[str, Array | Streamed] = {}
+    checks = {}
     for name, array in fields.items():
-        if array.dtype.kind == "U":
+        if array.dtype.kind == "U" and not isinstance(array, Streamed):
             encoded = str(array[()]).encode()
             kind = h5py.string_dtype("utf-8", max(1, len(encoded)))
             array = np.array(encoded if len(encoded) <= _COMPACT_BYTES else [encoded], dtype=kind)
@@ -356,7 +299,9 @@ def _write_h5(file: IO[bytes], fields: Mapping[str, Array]) -> None:
             file.write(block.data)
 
 
-def _laid_out(arrays: Mapping[str, Array], checks: Mapping[str, int]) -> tuple[dict[int, bytearray], dict[str, int], int]:
+def _laid_out(
+    arrays: Mapping[str, Array | Streamed], checks: Mapping[str, int]
+) -> tuple[dict[int, bytearray], dict[str, int], int]:
     """An HDF5 file without the bytes of those arrays that `checks` has: its pages, those arrays' places, and its length."""
     h5py, pages, places = _h5py(), _Pages(), {}
     # from version 1.8 of the format on, all metadata carry checksums; the bounds keep the file readable from 1.10 on
@@ -406,10 +351,13 @@ def _uninterrupted(work: Callable[[], Any]) -> Any:
     return result
 
 
-def _blocks(array: Array) -> Iterator[Array]:
+def _blocks(array: Array | Streamed) -> Iterator[Array]:
     """The entries in order of C, some at a time, copied only where they do not lie so."""
-    if array.flags.c_contiguous:
-        flat = _bytes(array)
+    if isinstance(array, Streamed):
+        for block in array.blocks():
+            yield bytes_of(np.ascontiguousarray(block, array.dtype))
+    elif array.flags.c_contiguous:
+        flat = bytes_of(array)
         yield from (flat[at : at + _BLOCK_BYTES] for at in range(0, flat.size, _BLOCK_BYTES))
     else:
         most = max(_BLOCK_BYTES // array.itemsize, 1)

@@ -1,4 +1,4 @@
-"""Files: the schemas "pysas-echoes-1" and "pysas-image-1" in two containers, .npz and .h5 (h5py, extra `hdf5`).
+"""Files: the schemas "pysas-echoes-1" and "pysas-image-1" in .npz and .h5 (h5py, extra `hdf5`), echoes in .zarr too (`survey`).
 
 Complex fields of .h5 are compounds of "r" and "i", as h5py and HDF5.jl take for complex, netCDF-4 programs too where they are
 asked to (netCDF4 and xarray with `auto_complex=True`), and MATLAB's h5read gives as a struct. Those that programs write which
@@ -11,19 +11,22 @@ pixels are allocated. This module knows no algorithm, `containers` has the bytes
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks
-from pysas.formats import files
-from pysas.formats.containers import KINDS as DTYPES
-from pysas.formats.containers import File, container
+from pysas.formats import files, stores
+from pysas.formats.containers import container
+from pysas.formats.fields import KINDS as DTYPES
+from pysas.formats.fields import File, Streamed
 from pysas.model.beam import CONE, FAN, Beam
 from pysas.model.echoes import Echoes
 from pysas.model.grid import KINDS, Grid
@@ -31,6 +34,7 @@ from pysas.model.image import Image, Report
 from pysas.model.pulse import LFM
 
 Array = npt.NDArray[Any]
+Named = dict[str, tuple[tuple[str, ...], Array]]
 
 ECHOES, IMAGE = "pysas-echoes-1", "pysas-image-1"
 _PULSE = ("pulse_kind", "pulse_fc", "pulse_bandwidth", "pulse_duration", "pulse_window")
@@ -45,8 +49,9 @@ def save(path: str | os.PathLike[str], what: Echoes | Image, *, overwrite: bool 
     Parameters
     ----------
     path : str or path
-        Ends in .npz or .h5. A file of that name is replaced only when the new one is complete; the new one has its
-        permissions. What has the old one open or mapped, `what` itself too, goes on seeing the old one.
+        Ends in .npz or .h5, or for echoes in .zarr: a folder. A file of that name is replaced only when the new one is
+        complete; the new one has its permissions. What has the old one open or mapped, `what` itself too, goes on seeing
+        the old one.
     what : Echoes or Image
         `attrs` may hold what JSON can (numpy scalars and arrays become numbers and lists); "truth_position" (n, 3) and
         "truth_amplitude" (n,) among them become fields of their own and stay arrays.
@@ -59,12 +64,27 @@ def save(path: str | os.PathLike[str], what: Echoes | Image, *, overwrite: bool 
         Another suffix or object, attrs that JSON cannot hold, or a path to something that is no regular file.
     OSError, ImportError
         From the file system, with nothing half-written left behind; a read-only file of that name, or any where `overwrite`
-        is False; .h5 without h5py (extra `hdf5`).
+        is False; .h5 without h5py (extra `hdf5`), .zarr without zarr (`survey`).
     """
     if not isinstance(what, Echoes | Image):
         raise TypeError(f"what={type(what).__name__}: expected pysas.Echoes or pysas.Image")
-    write = container(files.name(path))[1]
-    fields = _echo_fields(what) if isinstance(what, Echoes) else _image_fields(what)
+    text = files.name(path)
+    if isinstance(what, Image) or not is_store(text):
+        write_file(text, echo_fields(what) if isinstance(what, Echoes) else _image_fields(what), overwrite)
+        return
+    header, fixed, rows = by_ping(echo_fields(what))
+    with stores.replacing(text, overwrite=overwrite) as folder:
+        stores.create(folder, header, fixed, rows, complete=True)
+
+
+def is_store(path: str) -> bool:
+    """Whether a file of this name is a folder that holds a Zarr group."""
+    return Path(path).suffix.lower() == stores.SUFFIX
+
+
+def write_file(path: str, fields: Mapping[str, Array | Streamed], overwrite: bool) -> None:
+    """Fields of a schema to a new .npz or .h5."""
+    write = container(path)[1]
     with files.replacing(path, overwrite=overwrite) as file:
         write(file, fields)
 
@@ -75,7 +95,7 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     Parameters
     ----------
     path : str or path
-        Ends in .npz or .h5; a regular file, or a link to one.
+        Ends in .npz or .h5, a regular file or a link to one; or in .zarr, a folder. `open_echoes` reads echoes by pings.
 
     Returns
     -------
@@ -90,26 +110,49 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     MemoryError
         What a whole file holds does not fit; says how much.
     OSError, ImportError
-        From the file system; .h5 without h5py (extra `hdf5`).
+        From the file system; .h5 without h5py (extra `hdf5`), .zarr without zarr (`survey`).
     """
     text = files.name(path)
-    opened = container(text)[0]
-    with files.opened(text) as stream:
-        try:
-            with opened(stream) as file:
-                file.take_pairs(("data", "waveform"))
-                schema = file.text("schema")
-                if schema not in (ECHOES, IMAGE):
-                    raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
-                result, known = _read_echoes(file) if schema == ECHOES else _read_image(file)
-                unknown = sorted(file.fields.keys() - known)
-        except MemoryError as error:
-            raise MemoryError(f"{text}: {error}") from error
-        except Exception as error:  # zipfile, zlib, h5py and json have many ways of saying that bytes are wrong
-            raise ValueError(f"{text}: {error or type(error).__name__}") from error
+    with opened(text) as file:
+        schema = file.text("schema")
+        if schema not in (ECHOES, IMAGE):
+            raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
+        if schema == ECHOES:
+            echoes, known = read_navigation(file)
+            result: Echoes | Image = echoes.replace(data=file.read("data"))
+        else:
+            result, known = _read_image(file)
+        unknown = sorted(file.fields.keys() - known)
     if unknown:
         warnings.warn(f"{text}: ignored, not in {schema}: {', '.join(unknown)}", stacklevel=2)
     return result
+
+
+@contextlib.contextmanager
+def opened(path: str) -> Iterator[File]:
+    """The named arrays of a file; what is wrong with it is a ValueError that names it, while it is open."""
+    with contextlib.ExitStack() as stack:
+        if is_store(path):
+            stores.require(path)
+            opening: contextlib.AbstractContextManager[File] = stores.opened(path)
+        else:
+            of_stream = container(path)[0]
+            opening = of_stream(stack.enter_context(files.opened(path)))
+        with named(path):
+            file = stack.enter_context(opening)
+            file.take_pairs(("data", "waveform"))
+            yield file
+
+
+@contextlib.contextmanager
+def named(path: str) -> Iterator[None]:
+    """Whatever zipfile, zlib, h5py, zarr and json say of wrong bytes, as a ValueError that names the file."""
+    try:
+        yield
+    except MemoryError as error:
+        raise MemoryError(f"{path}: {error}") from error
+    except Exception as error:
+        raise ValueError(f"{path}: {error or type(error).__name__}") from error
 
 
 def load_echoes(path: str | os.PathLike[str]) -> Echoes:
@@ -150,7 +193,7 @@ _TURNED = ("plane", "surface")  # may have axes of their own: grid_origin and gr
 _MORE_GRID = {"plane": ("height", ""), "surface": ("height", "y x"), "polar": ("centre", "3")}
 
 
-def _echo_fields(echoes: Echoes) -> dict[str, Array]:
+def echo_fields(echoes: Echoes) -> dict[str, Array]:
     attrs = dict(echoes.attrs)
     fields: dict[str, Any] = {"schema": ECHOES}
     fields |= {name: getattr(echoes, name) for name in ("fs", "fc", "c", "t0", "tx", "rx", "compressed")}
@@ -172,6 +215,25 @@ def _echo_fields(echoes: Echoes) -> dict[str, Array]:
     return {name: np.asarray(value) for name, value in fields.items()}
 
 
+_AXES_OF = {"3": "xyz", "2": "ends"}  # names of axes whose length is their own
+
+
+def by_ping(fields: Mapping[str, Array]) -> tuple[dict[str, Any], Named, Named]:
+    """Fields of echoes as a store has them: attributes, arrays, and arrays of a row a ping, with the names of axes."""
+    header: dict[str, Any] = {}
+    fixed: Named = {}
+    rows: Named = {}
+    trace = stores.PING if fields["data"].ndim == 2 else f"{stores.PING} channel"
+    for name, array in fields.items():
+        if array.ndim == 0:
+            header[name] = array.item()
+            continue
+        shapes = (shape.replace("T", trace).split() for shape in _ECHO_FIELDS[name][1:])
+        axes = next(tuple(_AXES_OF.get(word, word) for word in words) for words in shapes if len(words) == array.ndim)
+        (rows if axes[0] == stores.PING else fixed)[name] = axes, array
+    return header, fixed, rows
+
+
 def _truth(position: Any, amplitude: Any) -> tuple[Array, Array]:
     position = _checks.reals("attrs['truth_position']", position, [("n", 3)], ("target",))
     amplitude = _checks.array_like("attrs['truth_amplitude']", amplitude)
@@ -181,7 +243,8 @@ def _truth(position: Any, amplitude: Any) -> tuple[Array, Array]:
     return position, amplitude.astype(np.complex128 if amplitude.dtype.kind == "c" else np.float64)
 
 
-def _read_echoes(file: File) -> tuple[Echoes, set[str]]:
+def read_navigation(file: File) -> tuple[Echoes, set[str]]:
+    """All of echoes but their samples, for which zeros stand that take no memory, and the names of the schema's fields."""
     two = "data" in file.fields and len(file.fields["data"][0]) == 2
     trace = "ping" if two else "ping channel"
     table = {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
@@ -206,8 +269,7 @@ def _read_echoes(file: File) -> tuple[Echoes, set[str]]:
     beam = _read_beam(file, values) if got[1] else None
     shape, dtype = file.fields["data"]
     stand_in = np.broadcast_to(np.zeros((), dtype), shape)  # navigation is checked before samples are allocated
-    echoes = Echoes(stand_in, pulse=pulse, beam=beam, attrs=attrs, **values)
-    return echoes.replace(data=file.read("data")), set(table)
+    return Echoes(stand_in, pulse=pulse, beam=beam, attrs=attrs, **values), set(table)
 
 
 def _read_pulse(file: File, values: dict[str, Any]) -> LFM:
