@@ -102,7 +102,8 @@ def test_public_names_exist() -> None:
 
 
 def test_import_loads_no_optional_library() -> None:
-    code = "import sys; from pysas import *; print([n for n in ('matplotlib', 'h5py', 'xarray', 'pandas', 'zarr') if n in sys.modules])"
+    optional = ("matplotlib", "h5py", "xarray", "pandas", "zarr", "dask", "rasterio", "pyproj")
+    code = f"import sys; from pysas import *; print([n for n in {optional} if n in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert result.stdout.strip() == "[]"
 

@@ -11,6 +11,7 @@ import numpy as np
 from pysas._checks import FloatArray
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
+from pysas.formats.echo_store import open_echoes
 from pysas.imaging.planner import plan_ahead
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
@@ -24,14 +25,35 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
+    if io.is_store(arguments.file):
+        values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
+        print(json.dumps(values) if arguments.json else text)
+        return 0
     item = io.load(arguments.file)
     if isinstance(item, Image):
-        values: dict[str, Any] = {"kind": "image", "shape": list(item.data.shape), "report": item.report.as_dict()}
+        values = {"kind": "image", "shape": list(item.data.shape), "report": item.report.as_dict()}
         text = repr(item)
     else:
         values, text = _of_echoes(item, arguments.tol, arguments.plan)
     print(json.dumps(values) if arguments.json else text)
     return 0
+
+
+def _of_store(path: str, tol: float, explained: bool) -> tuple[dict[str, Any], str]:
+    """By navigation, and three pings of which samples are read."""
+    with open_echoes(path) as store:
+        values, text = _of_echoes(store.navigation, tol, explained)
+        n = store.n_ping
+        pings = sorted({0, n // 2, n - 1})
+        peaks = [float(np.abs(store.echoes(slice(ping, ping + 1)).whole().data).max()) for ping in pings]
+    values |= {
+        "stored": store.stored,
+        "complete": store.complete,
+        "peaks": {str(k): v for k, v in zip(pings, peaks, strict=True)},
+    }
+    heard = ", ".join(f"{peak:.3g} in ping {ping}" for ping, peak in zip(pings, peaks, strict=True))
+    lines = [f"  stored     {store.stored}{'' if store.complete else '; not complete: pings are added, or were'}"]
+    return values, "\n".join([text, *lines, f"  samples    largest magnitude {heard}"])
 
 
 def _of_echoes(echoes: Echoes, tol: float, explained: bool) -> tuple[dict[str, Any], str]:
