@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pysas
-from pysas.formats import containers, io
+from pysas.formats import fields, io
 from pysas.model.grid import KINDS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "conventions.md").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def test_echoes_are_described_as_they_are_read() -> None:
     assert [row[0].removesuffix(" *") for row in table] == list(io._ECHO_FIELDS)
     assert [row[0][:-2] for row in table if row[0].endswith(" *")] == list(io._ECHO_NEEDS)
     for (name, entries, shape, *_), (kind, *shapes) in zip(table, io._ECHO_FIELDS.values(), strict=True):
-        words = containers.KINDS[kind][0].removeprefix("a string") or "text"
+        words = fields.KINDS[kind][0].removeprefix("a string") or "text"
         assert entries == words, name
         assert sorted(told(shape)) == sorted(shapes), name
     assert f'"{io.ECHOES}"' in PAGE and f'"{io.IMAGE}"' in PAGE
