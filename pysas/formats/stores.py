@@ -54,17 +54,17 @@ class Store(File):
     """
 
     def __init__(self, folder: str) -> None:
-        zarr = _zarr()
+        zarr = library()
         self._folder = Path(folder)
         self.fields, self.pairs, self._followed = {}, {}, {}
         self._arrays: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
         self.counts, self.chunk = False, 1
-        _require_header(self._folder)
+        require_header(self._folder)
         with blamed("zarr.json", "no Zarr v3 group"):
             group = zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
         header = dict(group.attrs)
-        _require_sum(header)
+        require_sum(header)
         for name, value in header.items():
             if name not in _OWN:
                 self._values[name] = value
@@ -84,7 +84,7 @@ class Store(File):
     def _describe(self, group: Any, name: str, pings: int | None) -> None:
         if name in self._values:
             raise ValueError("found as an attribute and as an array, expected one of the two")
-        _require_header(self._folder / name)
+        require_header(self._folder / name)
         array = group[name]
         shape, chunks = tuple(array.shape), tuple(getattr(array, "chunks", ()))
         codecs = [codec["name"] for codec in array.metadata.to_dict()["codecs"]]
@@ -172,17 +172,17 @@ def _declared(value: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
     return ((), np.dtype(kinds[type(value)])) if type(value) in kinds else ((0,), np.dtype(object))
 
 
-def _sum_of(header: Mapping[str, Any]) -> int:
+def sum_of(header: Mapping[str, Any]) -> int:
     parts = {name: value for name, value in header.items() if name != "crc32"}
     return zlib.crc32(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode())
 
 
-def _require_sum(header: Mapping[str, Any]) -> None:
-    if "crc32" in header and header["crc32"] != _sum_of(header):
+def require_sum(header: Mapping[str, Any]) -> None:
+    if "crc32" in header and header["crc32"] != sum_of(header):
         raise ValueError("zarr.json: damaged: found other attributes than were written, by their CRC-32")
 
 
-def _require_header(folder: Path) -> None:
+def require_header(folder: Path) -> None:
     """A zarr.json of a size that can be read: a pipe would block, a device has no end."""
     try:
         found = os.stat(folder / "zarr.json")
@@ -194,7 +194,7 @@ def _require_header(folder: Path) -> None:
 
 def require(path: str) -> None:
     """Raise what is not the store's fault: no zarr, no folder."""
-    _zarr()
+    library()
     if not stat.S_ISDIR(os.stat(path).st_mode):
         raise ValueError(f"{path}: found a file, expected a folder that holds a Zarr v3 group")
 
@@ -210,18 +210,18 @@ def opened(path: str) -> Iterator[File]:
 
 def create(folder: Path, header: Mapping[str, Any], fixed: Named, rows: Named, *, complete: bool) -> None:
     """A new group in an empty folder: attributes, arrays that stay, and the first pings of those that have a row a ping."""
-    group = _zarr().create_group(str(folder), zarr_format=3, overwrite=False)
+    group = library().create_group(str(folder), zarr_format=3, overwrite=False)
     for name, (axes, array) in {**fixed, **rows}.items():
         many = max(array.shape[0], 1)
         if name in rows:
             row = math.prod(array.shape[1:]) * array.dtype.itemsize
             many = max(1, min(_CHUNK_PINGS, _CHUNK_BYTES // row))
-        _create_array(group, name, axes, array, many)
+        create_array(group, name, axes, array, many)
     _put(group, dict(header), next(iter(rows.values()))[1].shape[0], complete)
 
 
-def _create_array(group: Any, name: str, axes: tuple[str, ...], array: Array, many: int) -> None:
-    codecs = _zarr().codecs
+def create_array(group: Any, name: str, axes: tuple[str, ...], array: Array, many: int) -> None:
+    codecs = library().codecs
     made = group.create_array(
         name, shape=array.shape, dtype=array.dtype.newbyteorder("="), chunks=(many, *(max(n, 1) for n in array.shape[1:])),
         filters=None, serializer=codecs.BytesCodec(endian="little"), compressors=[codecs.Crc32cCodec()], fill_value=0,
@@ -233,15 +233,15 @@ def _create_array(group: Any, name: str, axes: tuple[str, ...], array: Array, ma
 
 def _put(group: Any, header: dict[str, Any], pings: int, complete: bool) -> None:
     header |= {"pings": pings, "complete": complete}
-    group.update_attributes(header | {"crc32": _sum_of(header)})
+    group.update_attributes(header | {"crc32": sum_of(header)})
 
 
 class Growing:
     """A group that is written to; its arrays are those it was created with."""
 
     def __init__(self, folder: str) -> None:
-        self._group = _zarr().open_group(folder, mode="r+", zarr_format=3, use_consolidated=False)
-        _require_sum(header := dict(self._group.attrs))
+        self._group = library().open_group(folder, mode="r+", zarr_format=3, use_consolidated=False)
+        require_sum(header := dict(self._group.attrs))
         self._header = {name: value for name, value in header.items() if name not in _OWN}
         if "pings" not in header:
             raise ValueError(f"{folder}: pings: missing, expected a store that pysas.EchoWriter wrote")
@@ -304,14 +304,14 @@ def check_output(path: str | os.PathLike[str], overwrite: bool) -> Path:
 
 def _is_store(folder: Path) -> bool:
     try:
-        _require_header(folder)
+        require_header(folder)
         schema = json.loads((folder / "zarr.json").read_bytes())["attributes"]["schema"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
     return isinstance(schema, str) and schema.startswith("pysas-")
 
 
-def _zarr() -> Any:
+def library() -> Any:
     try:
         import zarr
         import zarr.codecs
