@@ -79,18 +79,23 @@ def course_of(echoes: Echoes) -> Course:
 def laid_along_x(echoes: Echoes) -> tuple[Echoes, Course]:
     """Echoes with all places and directions on the axes of their track, and where these were."""
     track = course_of(echoes)
-    if not track.rotation:
-        return echoes, track
-    cos, sin = np.cos(track.rotation), np.sin(track.rotation)
+    return laid_on(echoes, track.origin, track.rotation), track
+
+
+def laid_on(echoes: Echoes, origin: FloatArray, rotation: float) -> Echoes:
+    """Echoes with places and directions on axes at `origin`, turned by `rotation` from x towards y, as a `Grid` has them."""
+    if not rotation and not np.any(origin):
+        return echoes
+    cos, sin = np.cos(rotation), np.sin(rotation)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])  # of rows, from the coordinates' axes
-    origin = np.append(track.origin, 0)
-    changes: dict[str, Any] = {name: (getattr(echoes, name) - origin) @ turn for name in ("tx", "rx")}
+    zero = np.append(origin, 0)
+    changes: dict[str, Any] = {name: (getattr(echoes, name) - zero) @ turn for name in ("tx", "rx")}
     if echoes.velocity is not None:
         changes["velocity"] = echoes.velocity @ turn
     if echoes.beam is not None:
         axis = None if echoes.beam.axis is None else echoes.beam.axis @ turn
         changes["beam"] = replace(echoes.beam, boresight=echoes.beam.boresight @ turn, axis=axis)
-    return echoes.replace(**changes), track
+    return echoes.replace(**changes)
 
 
 def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float, str]:
@@ -174,17 +179,8 @@ def default_grid(
     """
     z = _checks.number("z", z)
     track = course_of(echoes)
-    drop = abs(track.height - z)
-    record = (echoes.n_sample - 1) / echoes.fs
-    if not echoes.compressed and echoes.pulse is not None:
-        pulse = echoes.pulse
-        record -= (pulse.duration if isinstance(pulse, LFM) else (pulse.size - 1) / echoes.fs) / 2
+    ground = _recorded(echoes, track, z)
     c = echoes.mean_speed
-    near = max(c / 2 * float(echoes.start_time.max()), 0.0)
-    far = c / 2 * (float(echoes.start_time.min()) + record)
-    if far <= drop:
-        raise ValueError(f"z={z:g}: {drop:.4g} m from the track, beyond the record's {far:.4g} m: choose another --z or a grid")
-    ground = (float(np.sqrt(max(near**2 - drop**2, 0.0))), float(np.sqrt(far**2 - drop**2)))
     finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
     if track.closed:
         middle = track.places.mean(axis=0)
@@ -195,9 +191,7 @@ def default_grid(
         how = "square inside a closed track"
     else:
         low, high, how = _beside(echoes, track, ground, z, side)
-        sine = _sine(echoes, track)
-        across = 2 * echoes.occupied_bandwidth / c + (1 - np.sqrt(max(1 - sine**2, 0.0))) / finest
-        steps = (_round(0.8 * min(finest / (2 * max(sine, 1e-6)), 1 / across)), _round(0.8 / across))
+        steps = _spacing(echoes, track)
     if spacing is not None:
         steps = (_checks.number("spacing", spacing[0], positive=True), _checks.number("spacing", spacing[1], positive=True))
     counts = [max(int(np.ceil((b - a) / step)), 1) for a, b, step in zip(low, high, steps, strict=True)]
@@ -213,13 +207,36 @@ def default_grid(
     return Grid.plane(x, y, z, origin=track.origin, rotation=track.rotation), how
 
 
+def _spacing(echoes: Echoes, track: Course) -> tuple[float, float]:
+    """0.8 of the image's Nyquist spacing beside a track that is not closed, m along it and across."""
+    c = echoes.mean_speed
+    finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
+    sine = _sine(echoes, track)
+    across = 2 * echoes.occupied_bandwidth / c + (1 - np.sqrt(max(1 - sine**2, 0.0))) / finest
+    return _round(0.8 * min(finest / (2 * max(sine, 1e-6)), 1 / across)), _round(0.8 / across)
+
+
+def _recorded(echoes: Echoes, track: Course, z: float) -> tuple[float, float]:
+    """Least and largest distance from the track at height `z` that records cover, m; raw ones but for half a pulse."""
+    drop = abs(track.height - z)
+    record = (echoes.n_sample - 1) / echoes.fs
+    if not echoes.compressed and echoes.pulse is not None:
+        pulse = echoes.pulse
+        record -= (pulse.duration if isinstance(pulse, LFM) else (pulse.size - 1) / echoes.fs) / 2
+    c = echoes.mean_speed
+    near = max(c / 2 * float(echoes.start_time.max()), 0.0)
+    far = c / 2 * (float(echoes.start_time.min()) + record)
+    if far <= drop:
+        raise ValueError(f"z={z:g}: {drop:.4g} m from the track, beyond the record's {far:.4g} m: choose another --z or a grid")
+    return float(np.sqrt(max(near**2 - drop**2, 0.0))), float(np.sqrt(far**2 - drop**2))
+
+
 def _beside(
     echoes: Echoes, track: Course, ground: tuple[float, float], z: float, side: str | None
 ) -> tuple[FloatArray, FloatArray, str]:
     """Corners of the rectangle beside a track, on its axes, and how it was chosen."""
     (left, bottom), (right, top) = track.extents
-    near = ground[0] + 0.02 * (ground[1] - ground[0]) if ground[0] else 0.1 * ground[1]
-    far = ground[1] - 0.02 * (ground[1] - ground[0])
+    near, far = _inside(ground)
     length = right - left
     spare = max(0.25 * length, 1.0) if length < 0.5 * near else 0.0
     sign, why = _side(echoes, track, z, side)
@@ -233,13 +250,34 @@ def _beside(
     return np.array([left - spare, low]), np.array([right + spare, high]), how
 
 
+def _inside(ground: tuple[float, float]) -> tuple[float, float]:
+    """Distances from the track that are safe within those that records cover."""
+    near, far = ground
+    spare = 0.02 * (far - near)
+    return near + spare if near else 0.1 * far, far - spare
+
+
+def swath_beside(
+    echoes: Echoes, track: Course, z: float, side: str | None = None
+) -> tuple[list[tuple[str, int]], tuple[float, float], tuple[float, float]]:
+    """Where `default_grid` looks beside a track: sides by name and sign of y, distances from the track, pixels' spacing, m."""
+    sign, _ = _side(echoes, track, z, side)
+    port = _port(echoes, track, z)
+    sides = [("port" if one == port else "starboard", one) for one in ([sign] if sign else [-1, 1])]
+    return sides, _inside(_recorded(echoes, track, z)), _spacing(echoes, track)
+
+
+def _port(echoes: Echoes, track: Course, z: float) -> int:
+    """Sign of y on the port side: the sonar is above the seabed."""
+    return int((np.sign(track.height - z) or -_down(echoes) or 1.0) * track.sailed)
+
+
 def _side(echoes: Echoes, track: Course, z: float, side: str | None) -> tuple[int, str]:
     """+1 or -1 for one side of a track's axes, 0 for both, and what decided."""
     if side is not None:
         _checks.choice("side", side, SIDES)
-        up = np.sign(track.height - z) or -_down(echoes) or 1.0  # the sonar is above the seabed
-        up *= track.sailed
-        return {"port": int(up), "starboard": -int(up), "both": 0}[side], f"--side {side}"
+        port = _port(echoes, track, z)
+        return {"port": port, "starboard": -port, "both": 0}[side], f"--side {side}"
     if echoes.beam is None:
         return 1, "no beam or --side tells which"
     across = echoes.beam.boresights[:, :2] @ [-np.sin(track.rotation), np.cos(track.rotation)]

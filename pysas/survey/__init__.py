@@ -1,1 +1,7 @@
-"""Surveys: strips of images along a track, from pings as they come."""
+"""Surveys: strips of images along a track, from pings as they come, and many lines at a time into a store of tiles."""
+
+from pysas.survey.lines import SurveyPlan, Tile, plan
+from pysas.survey.running import Damage, SurveyReport, resume, run, verify
+from pysas.survey.sections import Made
+
+__all__ = ["Damage", "Made", "SurveyPlan", "SurveyReport", "Tile", "plan", "resume", "run", "verify"]

@@ -123,6 +123,14 @@ class StripStore:
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
+    def has_record(self, tile: int) -> bool:
+        """Whether there is one, damaged or not."""
+        return (self._folder / _RECORDS / str(tile) / "zarr.json").exists()
+
+    def forget(self, tile: int) -> None:
+        """Take a tile's record away: it has not been made."""
+        (self._folder / _RECORDS / str(tile) / "zarr.json").unlink(missing_ok=True)
+
     def damage(self, tile: int) -> str | None:
         """What is wrong with the shards of a tile that is done, by its record; reads them whole."""
         record = self.record(tile) or {}

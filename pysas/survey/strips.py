@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -28,16 +27,6 @@ from pysas.model.image import Image, Report
 from pysas.survey.pings import joined
 
 ROWS = 64  # of the grid, at which reaches along the track are looked at
-
-
-@dataclass
-class _Pending:
-    """An image to come, and what was done for it."""
-
-    data: ComplexArray
-    fc: float
-    c: float
-    reports: list[Report] = field(default_factory=list)
 
 
 class Strip:
@@ -135,55 +124,35 @@ class Strip:
         yield from state.rest()
 
 
-class _Stream:
-    """One run along a strip."""
+class Blocks:
+    """Images of a strip's blocks of pings, one after another in the same memory."""
 
     def __init__(self, strip: Strip) -> None:
         self.strip = strip
-        self.pending: dict[int, _Pending] = {}
-        self.forward = 0  # 1 or -1 along x, once it is known
-        self.given: int | None = None  # the image given away last
-        self.reach = (-np.inf, np.inf)  # of the newest ping
-        self.ground: dict[int, FloatArray] = {}  # heights of images to come
-        self.heights: FloatArray = np.empty(0)  # of a block, in the same memory from block to block
-        self.before: EnginePlan | None = None  # whose memory is used again
+        self.ground: dict[int, FloatArray] = {}  # heights, by numbers of images
+        self.heights: FloatArray = np.empty(0)  # of a block
+        self.before: EnginePlan | None = None
         self.room: ComplexArray = np.empty(0, dtype=np.complex64)
 
-    def add(self, echoes: Echoes) -> None:
-        """Image what a block lights."""
-        strip = self.strip
-        lit = [end for end in reaches_along(echoes, strip) if end is not None]
-        moved = float(echoes.tx[-1, 0] - echoes.tx[0, 0])
-        self.forward = self.forward or int(np.sign(moved))
-        if not lit:
-            return
-        self.reach = lit[-1]
-        low = int(np.ceil((min(end[0] for end in lit) - strip.origin) / strip.step - 1e-9))
-        high = int(np.floor((max(end[1] for end in lit) - strip.origin) / strip.step + 1e-9)) + 1
-        low, high = self._left(low, high)
-        if low >= high:
-            return
+    def image(self, echoes: Echoes, low: int, high: int) -> Image:
+        """Columns low to high - 1 of what these pings tell; its data last until the next."""
         grid = self._grid(low, high)
-        made = plan(echoes, grid, **strip.options)
+        made = plan(echoes, grid, **self.strip.options)
         if self.before is not None:
             made.by.follow(self.before)
         self.before = made.by
-        image = made(echoes.data, self._room(grid, echoes))
+        return made(echoes.data, self._room(grid, echoes))
 
-        def pass_on(number: int) -> None:
-            begin = number * strip.columns
-            one = self.pending[number]
-            first, last = max(low, begin), min(high, begin + strip.columns)
-            one.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
-            one.reports.append(_share(image.report, (last - first) / (high - low)))
+    def grid(self, number: int) -> Grid:
+        """Pixels of an image of the strip."""
+        strip = self.strip
+        if callable(strip.z):
+            return Grid._of_heights(strip._x(number * strip.columns, strip.columns), strip.y, self._ground(number))
+        return strip.grid(number * strip.columns, strip.columns)
 
-        crossed = range(low // strip.columns, (high - 1) // strip.columns + 1)
-        for number in crossed:
-            if number not in self.pending:
-                data = np.zeros((strip.y.size, strip.columns), dtype=image.data.dtype)
-                self.pending[number] = _Pending(data, image.fc, image.c)
-        with ThreadPoolExecutor(made.threads, thread_name_prefix="pysas-strip") as pool:  # as long as some sums on one
-            list(pool.map(pass_on, crossed))
+    def forget(self, number: int) -> None:
+        """Heights of an image that no block to come crosses."""
+        self.ground.pop(number, None)
 
     def _grid(self, low: int, high: int) -> Grid:
         """Pixels of columns low to high - 1; heights are asked for once for each image that these cross."""
@@ -194,7 +163,7 @@ class _Stream:
         if self.heights.size < size:
             self.heights = np.empty(size + size // 8)
         heights = self.heights[:size].reshape(strip.y.size, high - low)
-        for number in range(low // columns, (high - 1) // columns + 1):
+        for number in crossed(low, high, columns):
             begin = number * columns
             first, last = max(low, begin), min(high, begin + columns)
             heights[:, first - low : last - low] = self._ground(number)[:, first - begin : last - begin]
@@ -209,10 +178,93 @@ class _Stream:
         return self.ground[number]
 
     def _room(self, grid: Grid, echoes: Echoes) -> ComplexArray:
-        """Where a block's image goes: the same memory from block to block, whose first touch takes as long as some sums."""
+        """Where a block's image goes: the first touch of memory takes as long as some sums."""
         if self.room.size < grid.size or self.room.dtype != echoes.dtype:
             self.room = np.empty(grid.size + grid.size // 8, dtype=echoes.dtype)
         return self.room[: grid.size].reshape(grid.shape)
+
+
+class Pending:
+    """An image to come, and what was done for it."""
+
+    def __init__(self, strip: Strip, dtype: np.dtype[Any]) -> None:
+        self.strip = strip
+        self.data: ComplexArray = np.zeros((strip.y.size, strip.columns), dtype=dtype)
+        self.reports: list[Report] = []
+
+    def add(self, number: int, image: Image, low: int) -> None:
+        """What a block's image, whose first column is `low`, has of image `number`."""
+        begin, high = number * self.strip.columns, low + image.data.shape[1]
+        first, last = max(low, begin), min(high, begin + self.strip.columns)
+        self.data[:, first - begin : last - begin] += image.data[:, first - low : last - low]
+        self.reports.append(_share(image.report, (last - first) / (high - low)))
+
+    def report(self) -> Report:
+        """Of all blocks together."""
+        last = self.reports[-1]
+        terms = sum(report.terms for report in self.reports)
+        notes = dict.fromkeys(note for report in self.reports for note in report.notes)
+        return Report(
+            last.method, last.tol, last.backend, last.isa, last.threads,
+            sum(report.prepare_seconds for report in self.reports), sum(report.sum_seconds for report in self.reports), terms,
+            min(report.share_left_out for report in self.reports),
+            sum(report.factorised_share * report.terms for report in self.reports) / max(terms, 1),
+            max((report.predicted_error or 0.0) for report in self.reports), {}, tuple(notes),
+        )  # fmt: skip
+
+
+def add_block(image: Image, low: int, images: Mapping[int, Pending]) -> None:
+    """Add a block's image, whose first column is `low`, to images that it crosses, by their numbers."""
+    with ThreadPoolExecutor(image.report.threads, thread_name_prefix="pysas-strip") as pool:  # as long as some sums on one
+        list(pool.map(lambda number: images[number].add(number, image, low), images))
+
+
+def crossed(low: int, high: int, columns: int) -> range:
+    """Numbers of the images that columns low to high - 1 lie in."""
+    return range(low // columns, (high - 1) // columns + 1)
+
+
+def columns_of(reaches: Iterable[tuple[float, float] | None], strip: Strip) -> tuple[int, int]:
+    """First column that pings light, by their reaches, and the one after the last; the same one twice where they light none."""
+    lit = [end for end in reaches if end is not None]
+    if not lit:
+        return 0, 0
+    low = int(np.ceil((min(end[0] for end in lit) - strip.origin) / strip.step - 1e-9))
+    high = int(np.floor((max(end[1] for end in lit) - strip.origin) / strip.step + 1e-9)) + 1
+    return low, max(low, high)
+
+
+class _Stream:
+    """One run along a strip."""
+
+    def __init__(self, strip: Strip) -> None:
+        self.strip = strip
+        self.blocks = Blocks(strip)
+        self.pending: dict[int, Pending] = {}
+        self.forward = 0  # 1 or -1 along x, once it is known
+        self.given: int | None = None  # the image given away last
+        self.reach = (-np.inf, np.inf)  # of the newest ping
+        self.units = 0.0, 0.0  # fc and c of the images
+
+    def add(self, echoes: Echoes) -> None:
+        """Image what a block lights."""
+        strip = self.strip
+        reaches = [end for end in reaches_along(echoes, strip) if end is not None]
+        moved = float(echoes.tx[-1, 0] - echoes.tx[0, 0])
+        self.forward = self.forward or int(np.sign(moved))
+        if not reaches:
+            return
+        self.reach = reaches[-1]
+        low, high = self._left(*columns_of(reaches, strip))
+        if low >= high:
+            return
+        image = self.blocks.image(echoes, low, high)
+        self.units = image.fc, image.c
+        numbers = crossed(low, high, strip.columns)
+        for number in numbers:
+            if number not in self.pending:
+                self.pending[number] = Pending(strip, image.data.dtype)
+        add_block(image, low, {number: self.pending[number] for number in numbers})
 
     def _left(self, low: int, high: int) -> tuple[int, int]:
         """Of columns low to high - 1 those of images that were not given away."""
@@ -249,28 +301,15 @@ class _Stream:
 
     def _give(self, number: int) -> Image:
         strip, one = self.strip, self.pending.pop(number)
-        last = one.reports[-1]
-        terms = sum(report.terms for report in one.reports)
-        notes = list(dict.fromkeys(note for report in one.reports for note in report.notes))
+        report = one.report()
         if self.given is not None and abs(number - self.given) > 1:
             ends = sorted((self.given + (self.forward > 0), number + (self.forward < 0)))
             low, high = (strip.origin + end * strip.length for end in ends)
-            notes.append(f"nothing lights x from {low:.6g} to {high:.6g} m")
+            report = dataclasses.replace(report, notes=(*report.notes, f"nothing lights x from {low:.6g} to {high:.6g} m"))
         self.given = number
-        report = Report(
-            last.method, last.tol, last.backend, last.isa, last.threads,
-            sum(report.prepare_seconds for report in one.reports), sum(report.sum_seconds for report in one.reports), terms,
-            min(report.share_left_out for report in one.reports),
-            sum(report.factorised_share * report.terms for report in one.reports) / max(terms, 1),
-            max((report.predicted_error or 0.0) for report in one.reports), {}, tuple(notes),
-        )  # fmt: skip
-        first, columns = number * strip.columns, strip.columns
-        if callable(strip.z):
-            grid = Grid._of_heights(strip._x(first, columns), strip.y, self._ground(number))
-        else:
-            grid = strip.grid(first, columns)
-        self.ground.pop(number, None)
-        return Image(one.data, grid, report, one.fc, one.c)
+        grid = self.blocks.grid(number)
+        self.blocks.forget(number)
+        return Image(one.data, grid, report, *self.units)
 
 
 def _share(report: Report, share: float) -> Report:

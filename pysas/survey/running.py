@@ -1,0 +1,325 @@
+"""Run, resume and verify a survey, in this process or on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pysas import __version__, _checks
+from pysas.formats import files, stores
+from pysas.formats.echo_store import open_echoes
+from pysas.survey.distributing import Lost, by_client
+from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, SurveyStore, create
+from pysas.survey.lines import SurveyPlan, spoken
+from pysas.survey.sections import Made, image_section, made, reading
+from pysas.survey.tiling import StripPlan, navigation_digest
+
+Job = tuple[int, int]  # numbers of a strip and of its section
+
+
+@dataclass
+class SurveyReport:
+    """What a run did: `print` it.
+
+    Attributes
+    ----------
+    path : str
+        Of the store.
+    made : list of Made
+        Tiles of this run, failed ones too.
+    lost : list of (strip, section, reason)
+        What ended with its worker, again and again.
+    before, tiles : int
+        Tiles that were there already, and all.
+    seconds, predicted : float
+        Of this run, and what the plan said of all.
+    """
+
+    path: str
+    tiles: int
+    before: int
+    predicted: float
+    made: list[Made] = field(default_factory=list)
+    lost: list[tuple[str, int, str]] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def failed(self) -> list[Made]:
+        """Tiles that could not be made."""
+        return [one for one in self.made if one.state == FAILED]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all tiles are there."""
+        return self.before + len(self.made) - len(self.failed) == self.tiles
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain types, ready for JSON."""
+        pixels, terms = sum(one.pixels for one in self.made), sum(one.terms for one in self.made)
+        return {
+            "store": self.path, "version": __version__, "tiles": self.tiles, "made": len(self.made) - len(self.failed),
+            "before": self.before, "complete": self.complete, "seconds": self.seconds, "predicted_seconds": self.predicted,
+            "pixels": pixels, "terms": terms, "pixels_per_second": pixels / self.seconds if self.seconds else 0.0,
+            "failed": [{"strip": one.strip, "tile": one.tile, "reason": one.reason} for one in self.failed],
+            "lost": [{"strip": strip, "section": section, "reason": reason} for strip, section, reason in self.lost],
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        values = self.as_dict()
+        rate = f", {values['pixels_per_second']:.3g} pixels/s" if values["pixels"] else ""
+        there = f", {self.before} were there" if self.before else ""
+        lines = [f"{self.path}: {values['made']} of {self.tiles} tiles made in {spoken(self.seconds)}{there}{rate}"]
+        reasons: dict[tuple[str, str], list[int]] = {}
+        for one in self.failed:
+            reasons.setdefault((one.strip, one.reason), []).append(one.tile)
+        lines += [f"  failed: {strip}, tiles {_spans(tiles)}: {reason}" for (strip, reason), tiles in reasons.items()]
+        lines += [f"  lost: {strip}, section {section}: {reason}" for strip, section, reason in self.lost]
+        return "\n".join(lines)
+
+
+def _spans(numbers: list[int]) -> str:
+    """2, 3, 4, 7 as 2-4, 7."""
+    found: list[list[int]] = []
+    for number in sorted(numbers):
+        if found and number == found[-1][1] + 1:
+            found[-1][1] = number
+        else:
+            found.append([number, number])
+    return ", ".join(f"{a}-{b}" if b > a else str(a) for a, b in found)
+
+
+def run(
+    plan: SurveyPlan, path: str | os.PathLike[str], *, client: Any = None, threads: int | None = None, overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> SurveyReport:  # fmt: skip
+    """Image a survey into a store.
+
+    Parameters
+    ----------
+    plan : SurveyPlan
+    path : str or path
+        Of the store to write, ends in .zarr.
+    client : distributed.Client, optional
+        Whose workers make the tiles, one section a process at a time; they must see the same files under the same names. None:
+        this process does.
+    threads : int, optional
+        Of a process; default: all processors, or those of a worker.
+    overwrite : bool
+        Replace a store that is there; False: it is an error.
+    progress : callable, optional
+        Is told the share that is done.
+
+    Returns
+    -------
+    SurveyReport
+        Of tiles whose pings cannot be imaged too: they fail, with a reason, and the others go on.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Another suffix or client, something else of that name, a line that is read.
+    OSError, MemoryError, ConnectionError
+        From the file system (a full disk), and where the cluster is gone. `resume` goes on from there.
+
+    Notes
+    -----
+    Memory: `plan.memory`, whatever the length of the lines. The store is the same, byte by byte, whoever made it and however
+    often it was ended and resumed.
+    """
+    if not isinstance(plan, SurveyPlan):
+        raise TypeError(f"plan={type(plan).__name__}: expected what pysas.survey.plan returns")
+    text = files.name(path)
+    if Path(text).suffix.lower() != stores.SUFFIX:
+        raise ValueError(f"{text}: expected a name that ends in {stores.SUFFIX}")
+    target = stores.check_output(text, overwrite)
+    for strip in plan.strips:
+        if target.exists() and os.path.exists(strip.line) and target.samefile(strip.line):
+            raise ValueError(f"{text}: is read by this survey: expected another name")
+    header = {
+        "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
+    }  # fmt: skip
+    with stores.replacing(text, overwrite=overwrite) as folder:
+        create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
+    return resume(text, client=client, threads=threads, progress=progress)
+
+
+def resume(
+    path: str | os.PathLike[str], *, client: Any = None, threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> SurveyReport:  # fmt: skip
+    """Make the tiles that a store's plan has and the store has not: those not begun, failed, or found damaged by `verify`.
+
+    Parameters, Returns, Raises
+    ---------------------------
+    As `run`. ValueError: no such store, one of another version, or lines whose navigation is not what it was planned from.
+    """
+    _checks.callback("progress", progress)
+    if threads is not None:
+        threads = _checks.threads(threads)
+    store = SurveyStore(path)
+    plans = plans_of(store)
+    for part in [part for strip in store.strips for part in strip.parts()]:
+        part.unlink(missing_ok=True)
+    jobs, before, weights = [], 0, []
+    for number, (plan, strip) in enumerate(zip(plans, store.strips, strict=True)):
+        for section in range(plan.sections):
+            lacking = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
+            before += len(plan.tiles_of(section)) - len(lacking)
+            if lacking:
+                jobs.append((number, section))
+                weights.append(len(lacking) * plan.y.size * plan.columns)
+    tiles = sum(plan.tiles for plan in plans)
+    report = SurveyReport(store.path, tiles, before, float(store.header["predicted"]["seconds"]))
+    began, whole, done = time.perf_counter(), sum(weights) or 1, 0
+
+    def told(share: float, weight: int) -> None:
+        if progress is not None:
+            progress((done + share * weight) / whole)
+
+    try:
+        results = (
+            _here(store.path, jobs, weights, threads, told)
+            if client is None
+            else by_client(client, store.path, jobs, threads, store.header["predicted"]["memory"])
+        )
+        for job, found in results:
+            done += weights[jobs.index(job)]
+            told(0.0, 0)
+            if isinstance(found, Lost):
+                report.lost.append((plans[job[0]].name, job[1], found.reason))
+            else:
+                report.made += found
+    except (OSError, MemoryError) as error:
+        error.add_note(f"pysas survey --resume -o {store.path} goes on from there")
+        raise
+    report.seconds = time.perf_counter() - began
+    return report
+
+
+def _here(
+    path: str, jobs: list[Job], weights: list[int], threads: int | None, told: Callable[[float, int], None]
+) -> Iterator[tuple[Job, list[Made] | Lost]]:
+    for job, weight in zip(jobs, weights, strict=True):
+        yield job, image_section(path, *job, threads, lambda share, weight=weight: told(share, weight))  # type: ignore[misc]
+
+
+def plans_of(store: SurveyStore) -> list[StripPlan]:
+    """The plans of a store's strips, once lines and version are what they were planned with."""
+    if (found := store.header.get("version")) != __version__:
+        raise ValueError(f"{store.path}: planned by pysas {found}, this is {__version__}: expected a new survey, --overwrite")
+    plans = []
+    for strip in store.strips:
+        try:
+            plans.append(StripPlan.of(strip.attributes, strip.y))
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
+    for line in dict.fromkeys(plan.line for plan in plans):
+        with open_echoes(line) as echoes:
+            for plan in plans:
+                if plan.line == line:
+                    _require_navigation(plan, echoes.navigation)
+    return plans
+
+
+def _require_navigation(plan: StripPlan, navigation: Any) -> None:
+    for block in plan.blocks:
+        if block.last > navigation.n_ping or navigation_digest(navigation[block.first : block.last]) != block.navigation:
+            raise ValueError(
+                f"{plan.line}: navigation of pings {block.first} to {block.last - 1} is not what the survey was planned from: "
+                "expected the same file, or a new survey, --overwrite"
+            )
+
+
+@dataclass(frozen=True)
+class Damage:
+    """What `verify` found: `where` is a strip and its tile, or a line and its pings."""
+
+    where: str
+    what: str
+
+
+def verify(
+    path: str | os.PathLike[str], *, inputs: bool = True, progress: Callable[[float], None] | None = None
+) -> list[Damage]:
+    """Compare every byte of a store with what was written, and the samples that it was made from with what they were.
+
+    Tiles that are damaged are marked so, and `resume` makes them anew; damaged lines must come from a copy.
+
+    Parameters
+    ----------
+    path : str or path
+    inputs : bool
+        Look at the lines' samples too.
+    progress : callable, optional
+        Is told the share that is done.
+
+    Returns
+    -------
+    list of Damage
+        Empty where all is well. Tiles that are not made are no damage.
+
+    Raises
+    ------
+    ValueError, OSError
+        No such store, or attributes of it that are damaged.
+
+    Notes
+    -----
+    Reads all of it: O(bytes).
+    """
+    _checks.callback("progress", progress)
+    store = SurveyStore(path)
+    found: list[Damage] = []
+    plans = [StripPlan.of(strip.attributes, strip.y) for strip in store.strips]
+    whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
+    done = 0
+
+    def one_more() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done / whole)
+
+    for plan, strip in zip(plans, store.strips, strict=True):
+        samples: dict[tuple[int, int], int] = {}
+        for tile in range(plan.tiles):
+            record = strip.record(tile)
+            where = f"{strip.name}, tile {tile}"
+            if record is None and strip.has_record(tile):
+                found.append(Damage(where, "its record is damaged"))
+                strip.forget(tile)
+            if record is not None and record["state"] == DONE:
+                samples |= {(first, last): value for first, last, value in record.get("input", ())}
+                if (what := strip.damage(tile)) is not None:
+                    found.append(Damage(where, what))
+                    strip.put(tile, {**record, "state": DAMAGED})
+            elif record is not None and record["state"] == DAMAGED:
+                found.append(Damage(where, "found damaged before"))
+            one_more()
+        if inputs:
+            found += _inputs(plan, samples, one_more)
+    return found
+
+
+def _inputs(plan: StripPlan, samples: dict[tuple[int, int], int], one_more: Callable[[], None]) -> list[Damage]:
+    """Of a line: pings whose samples are damaged, or not those that tiles were made from."""
+    try:
+        with open_echoes(plan.line) as echoes:
+            _require_navigation(plan, echoes.navigation)
+            found = []
+            for block in plan.blocks:
+                where = f"{plan.line}, pings {block.first} to {block.last - 1}"
+                try:
+                    _, value = reading(echoes, block.first, block.last)
+                    if samples.get((block.first, block.last), value) != value:
+                        found.append(Damage(where, "other samples than tiles were made from"))
+                except ValueError as error:
+                    found.append(Damage(where, str(error)))
+                one_more()
+            return found
+    except (ValueError, OSError) as error:
+        return [Damage(plan.line, str(error))]

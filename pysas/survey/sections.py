@@ -1,0 +1,228 @@
+"""A section of a strip: tiles that one process makes, one after another, from a store of echoes to a store of images."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+import zlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pysas import __version__, _checks
+from pysas.formats.echo_store import EchoStore, open_echoes
+from pysas.model.echoes import Echoes
+from pysas.model.image import Report
+from pysas.signal import compression
+from pysas.survey.image_store import DARK, DONE, FAILED, StripStore, SurveyStore
+from pysas.survey.strips import Blocks, Pending, add_block, crossed
+from pysas.survey.tiling import StripPlan
+
+_ONE = threading.Lock()  # a process makes one section at a time, on all threads that it has
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of a tile: what a report needs of it."""
+
+    strip: str
+    tile: int
+    state: str
+    reason: str = ""
+    seconds: float = 0.0
+    terms: int = 0
+    pixels: int = 0
+
+
+class Section:
+    """Tiles of a section that are to be made, from blocks of pings in their order.
+
+    Parameters
+    ----------
+    plan : StripPlan
+    store : StripStore
+    section : int
+    threads : int or None
+    """
+
+    def __init__(self, plan: StripPlan, store: StripStore, section: int, threads: int | None) -> None:
+        self.plan, self.store, self.threads = plan, store, threads
+        self.first, self.last = plan.ends_of(section)
+        self.blocks = Blocks(plan.strip(threads))
+        self.pending: dict[int, Pending] = {}
+        self.inputs: dict[int, list[list[int]]] = {}  # pings and their samples' CRC-32, by tiles
+        self.failed: dict[int, str] = {}
+        self.done: list[Made] = []
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="pysas-tiles")
+        self._writing: Future[None] | None = None
+
+    def wanted(self, number: int, tiles: Iterable[int]) -> list[int]:
+        """Those of the tiles that a block lights."""
+        block = self.plan.blocks[number]
+        low, high = max(block.low, self.first), min(block.high, self.last)
+        lit = crossed(low, high, self.plan.columns) if low < high else range(0)
+        return [tile for tile in tiles if tile in lit]
+
+    def add(self, number: int, read: Callable[[], tuple[Echoes, int]], tiles: list[int]) -> None:
+        """Sum a block; what cannot be read or summed fails the tiles that it lights, among those wanted."""
+        block = self.plan.blocks[number]
+        low, high = max(block.low, self.first), min(block.high, self.last)
+        try:
+            echoes, samples = read()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # an image's notes have them
+                image = self.blocks.image(self._ready(echoes), low, high)
+        except (ValueError, TypeError, ArithmeticError, _checks.InternalError) as error:
+            for tile in tiles:
+                self.failed.setdefault(tile, f"pings {block.first} to {block.last - 1}: {error}")
+            return
+        for tile in tiles:
+            if tile not in self.pending:
+                self.pending[tile] = Pending(self.blocks.strip, image.data.dtype)
+            self.inputs.setdefault(tile, []).append([block.first, block.last, samples])
+        add_block(image, low, {tile: self.pending[tile] for tile in tiles})
+
+    def _ready(self, echoes: Echoes) -> Echoes:
+        """Compressed, on the strip's axes."""
+        if not echoes.compressed:
+            settings = self.plan.settings
+            window = tuple(settings.window) if isinstance(settings.window, list) else settings.window
+            echoes = compression.compress(echoes, window, nan=settings.nan, threads=self.threads)
+        return self.plan.laid(echoes)
+
+    def finish(self, tiles: Iterable[int]) -> None:
+        """Write tiles that no block to come lights."""
+        for tile in tiles:
+            pending, inputs = self.pending.pop(tile, None), self.inputs.pop(tile, [])
+            self.blocks.forget(tile)
+            recipe = {"recipe": self.plan.recipe(tile), "version": __version__}
+            if tile in self.failed:
+                reason = self.failed[tile]
+                self._write(self.store.put, tile, recipe | {"state": FAILED, "reason": reason})
+                self.done.append(Made(self.plan.name, tile, FAILED, reason))
+            elif pending is None:
+                self._write(self.store.put, tile, recipe | {"state": DARK})
+                self.done.append(Made(self.plan.name, tile, DARK))
+            else:
+                report = pending.report()
+                record = recipe | {"input": inputs, "report": _lasting(report)}
+                self._write(self.store.write, tile, pending.data, record)
+                seconds = report.prepare_seconds + report.sum_seconds
+                self.done.append(Made(self.plan.name, tile, DONE, "", seconds, report.terms, pending.data.size))
+
+    def _write(self, what: Callable[..., None], *arguments: Any) -> None:
+        """On a thread, one at a time."""
+        self._wait()
+        self._writing = self._writer.submit(what, *arguments)
+
+    def _wait(self) -> None:
+        if self._writing is not None:
+            writing, self._writing = self._writing, None
+            writing.result()
+
+    def __enter__(self) -> Section:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._wait()
+        finally:
+            self._writer.shutdown()
+
+
+def _lasting(report: Report) -> dict[str, Any]:
+    """What a report says that does not differ from run to run."""
+    values = report.as_dict()
+    for name in ("threads", "prepare_seconds", "sum_seconds", "choices"):
+        del values[name]
+    return values
+
+
+def reading(store: EchoStore, first: int, last: int) -> tuple[Echoes, int]:
+    """Some pings, and the CRC-32 of their samples."""
+    echoes = store.echoes(slice(first, last))
+    return echoes, zlib.crc32(np.ascontiguousarray(echoes.data).data.cast("B"))
+
+
+def missing(plan: StripPlan, store: StripStore, section: int) -> list[int]:
+    """Tiles of a section that are not as the plan has them."""
+    return [tile for tile in plan.tiles_of(section) if not made(plan, store, tile)]
+
+
+def made(plan: StripPlan, store: StripStore, tile: int) -> bool:
+    """Whether a tile is done, or dark, by its record; its pixels are not looked at."""
+    record = store.record(tile)
+    if record is None or record.get("recipe") != plan.recipe(tile):
+        return False
+    return record["state"] == DARK or (record["state"] == DONE and store.whole(tile))
+
+
+def image_section(
+    path: str, number: int, section: int, threads: int | None, progress: Callable[[float], None] | None = None
+) -> list[Made]:
+    """Make the tiles of a section that are missing.
+
+    Parameters
+    ----------
+    path : str
+        Of the store of images; its plan names the store of echoes.
+    number, section : int
+        Of the strip and of its section.
+    threads : int or None
+    progress : callable, optional
+        Is told the share that is done.
+
+    Returns
+    -------
+    list of Made
+        Tiles that were missing, one each.
+
+    Raises
+    ------
+    OSError, MemoryError, ValueError
+        What ends a run: the file system, memory, or a store that is not the plan's. What is wrong with some pings is a tile's
+        failure.
+    """
+    with _ONE:
+        store = SurveyStore(path).strips[number]
+        plan = StripPlan.of(store.attributes, store.y)
+        wanted = missing(plan, store, section)
+        if not wanted:
+            return []
+        with open_echoes(plan.line) as echoes, Section(plan, store, section, threads) as work:
+            _make(work, echoes, wanted, progress)
+        return work.done
+
+
+def _make(work: Section, echoes: EchoStore, wanted: list[int], progress: Callable[[float], None] | None) -> None:
+    plan = work.plan
+    blocks = [k for k in plan.blocks_of(range(wanted[0], wanted[-1] + 1)) if work.wanted(k, wanted)]
+    left = list(wanted)
+    with ThreadPoolExecutor(1, thread_name_prefix="pysas-pings") as reader:
+
+        def ask(place: int) -> Future[tuple[Echoes, int]] | None:
+            if place >= len(blocks):
+                return None
+            block = plan.blocks[blocks[place]]
+            return reader.submit(reading, echoes, block.first, block.last)
+
+        coming = ask(0)
+        for place, number in enumerate(blocks):
+            now, coming = coming, None
+            if now is None:
+                raise _checks.InternalError("a block that was not read")
+
+            def read(now: Future[tuple[Echoes, int]] = now) -> tuple[Echoes, int]:
+                return now.result()
+
+            coming = ask(place + 1)
+            work.add(number, read, work.wanted(number, wanted))
+            ready = [tile for tile in left if tile < plan.blocks[number].final]
+            left = left[len(ready) :]
+            work.finish(ready)
+            if progress is not None:
+                progress((place + 1) / len(blocks))
+    work.finish(left)
