@@ -257,6 +257,8 @@ def test_frames_of_navigation_have_z_down() -> None:
     assert z == pytest.approx(20.0)
     for height in (assumed_height(echoes)[0], z):
         assert default_grid(echoes, height, side="starboard")[0].axes["y"].min() > 0
+    level = pysas.Beam([0.0, 1.0, 0.0], 0.1, 0.1, "fan")  # a beam that looks neither up nor down tells no more than none
+    assert assumed_height(echoes.replace(beam=level), 8.0)[0] == pytest.approx(20.0)
 
 
 def test_speeds_of_pings_are_taken_by_their_mean() -> None:

@@ -134,10 +134,10 @@ def height_matters(echoes: Echoes) -> bool:
 
 def _down(echoes: Echoes) -> float:
     """Sign of z downwards, by where beams look, or of a frame of `pysas.navigation`, where z is depth; 0: nothing tells."""
-    if echoes.beam is None:
-        return 1.0 if isinstance(echoes.attrs.get("frame"), Mapping) else 0.0
-    look = float(np.mean(echoes.beam.boresights[:, 2]))
-    return float(np.sign(look)) if abs(look) > 0.01 else 0.0
+    look = 0.0 if echoes.beam is None else float(np.mean(echoes.beam.boresights[:, 2]))
+    if abs(look) > 0.01:
+        return float(np.sign(look))
+    return 1.0 if isinstance(echoes.attrs.get("frame"), Mapping) else 0.0
 
 
 def along_track_resolution(echoes: Echoes) -> float:
