@@ -1,7 +1,8 @@
 """Surveys: strips of images along a track, from pings as they come, and many lines at a time into a store of tiles."""
 
+from pysas.survey.following import follow
 from pysas.survey.lines import SurveyPlan, Tile, plan
 from pysas.survey.running import Damage, SurveyReport, resume, run, verify
 from pysas.survey.sections import Made
 
-__all__ = ["Damage", "Made", "SurveyPlan", "SurveyReport", "Tile", "plan", "resume", "run", "verify"]
+__all__ = ["Damage", "Made", "SurveyPlan", "SurveyReport", "Tile", "follow", "plan", "resume", "run", "verify"]

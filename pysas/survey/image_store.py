@@ -32,6 +32,7 @@ DONE, DARK, FAILED, DAMAGED = "done", "dark", "failed", "damaged"  # states of a
 _RECORDS = "records"
 _ROWS = 128, 1024  # of an inner chunk: at least and at most, of those that divide a tile's
 _MOST_TILE = 2**31  # bytes
+_AXIS = 8192  # entries of a chunk of x, which may grow
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,10 @@ class StripStore:
         array = self._group[name]
         shape, tile = (self.y.size, self.x.size), (self.y.size, self.columns)
         found = f"{array.dtype} of shape {array.shape} in shards of {array.shards}"
-        if array.dtype != ARRAYS[name] or array.shape != shape or array.shards != tile or self.x.size % self.columns:
+        held = (
+            array.ndim == 2 and array.shape[0] == shape[0] and array.shape[1] >= shape[1]
+        )  # a strip that grows is longer first
+        if array.dtype != ARRAYS[name] or not held or array.shards != tile or self.x.size % self.columns:
             raise ValueError(f"{name}: found {found}, expected {ARRAYS[name]} of shape {shape} in shards of {tile}, the tiles")
         if math.prod(tile) * array.dtype.itemsize > _MOST_TILE:
             raise ValueError(f"{name}: found {found}, expected shards of at most {_MOST_TILE} bytes")
@@ -232,8 +236,8 @@ def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader
     for strip in strips:
         attributes = {**strip.attributes, "columns": strip.columns}
         group = root.create_group(strip.name, attributes={**attributes, "crc32": stores.sum_of(attributes)})
-        for name, axis in (("x", strip.x), ("y", strip.y)):
-            stores.create_array(group, name, (name,), axis, axis.size)
+        for name, axis, many in (("x", strip.x, _AXIS), ("y", strip.y, strip.y.size)):
+            stores.create_array(group, name, (name,), axis, many)
         for name, dtype in ARRAYS.items():
             group.create_array(
                 name, shape=(strip.y.size, strip.x.size), dtype=dtype, chunks=(_inner(strip.y.size), strip.columns),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -181,12 +180,10 @@ def plan(
     paths = [lines] if isinstance(lines, str | os.PathLike) else list(lines)
     if not paths:
         raise ValueError("lines: none: expected files of echoes")
-    settings = Settings(_checks.number("tol", tol, positive=True), method, backend, nan, window)
-    _checks.choice("method", method, METHODS)
-    _checks.choice("nan", nan, ("raise", "mask"))
-    if sum(value is not None for value in (z, altitude, depth_map)) > 1:
-        raise ValueError("z, altitude, depth_map: expected one of them")
-    cut = _Cut(_pair(pixel), _swath(swath), side, z, altitude, depth_map, tile, section, settings)
+    cut = Cut.of(
+        pixel=pixel, swath=swath, side=side, z=z, altitude=altitude, depth_map=depth_map, tol=tol, method=method,
+        backend=backend, nan=nan, window=window, tile=tile, section=section,
+    )  # fmt: skip
     count = _checks.threads(threads)
     strips: list[StripPlan] = []
     seconds, memory, first = [], 0.0, None
@@ -195,8 +192,12 @@ def plan(
             if first is not None:
                 _require_same_sonar(first, store)
             first = first or store
-            for strip in cut.strips(number, store):
-                whole = extended(strip, store.navigation, complete=True)
+            if not store.complete:
+                _checks.warn(
+                    f"{store.path}: not complete: its recorder adds pings, or was ended; the {store.n_ping} there count"
+                )
+            for strip in cut.strips(number, store.path, store.navigation):
+                whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
                 cost = _cost(whole, store.navigation, count)
                 strips.append(whole)
                 seconds.append(cost[0])
@@ -205,7 +206,7 @@ def plan(
 
 
 @dataclass(frozen=True)
-class _Cut:
+class Cut:
     """How every line is cut: arguments of `plan`."""
 
     pixel: tuple[float, float] | None
@@ -218,15 +219,32 @@ class _Cut:
     section: float
     settings: Settings
 
-    def strips(self, number: int, store: EchoStore) -> list[StripPlan]:
-        """Strips of a line, without blocks."""
-        try:
-            return self._strips(number, store)
-        except ValueError as error:
-            raise ValueError(f"{store.path}: {error}") from error
+    @classmethod
+    def of(
+        cls, *, pixel: float | tuple[float, float] | None = None, swath: tuple[float, float] | None = None,
+        side: str | None = None, z: float | None = None, altitude: float | None = None,
+        depth_map: str | os.PathLike[str] | None = None, tol: float = 1e-2, method: str = "auto", backend: str = "auto",
+        nan: str = "raise", window: Any = None, tile: float = TILE, section: float = SECTION,
+    ) -> Cut:  # fmt: skip
+        """Once they are what `plan` takes."""
+        _checks.choice("method", method, METHODS)
+        _checks.choice("nan", nan, ("raise", "mask"))
+        if side is not None:
+            _checks.choice("side", side, framing.SIDES)
+        if sum(value is not None for value in (z, altitude, depth_map)) > 1:
+            raise ValueError("z, altitude, depth_map: expected one of them")
+        settings = Settings(_checks.number("tol", tol, positive=True), method, backend, nan, window)
+        tile, section = _checks.number("tile", tile, positive=True), _checks.number("section", section, positive=True)
+        return cls(_pair(pixel), _swath(swath), side, z, altitude, depth_map, tile, section, settings)
 
-    def _strips(self, number: int, store: EchoStore) -> list[StripPlan]:
-        echoes = store.navigation
+    def strips(self, number: int, path: str, echoes: Echoes) -> list[StripPlan]:
+        """Strips of a line, without blocks, by its navigation."""
+        try:
+            return self._strips(number, path, echoes)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+    def _strips(self, number: int, line: str, echoes: Echoes) -> list[StripPlan]:
         if echoes.beam is None:
             raise ValueError("no beam: expected echoes with one, without it every ping lights the whole line")
         track = _straight(echoes)
@@ -239,7 +257,7 @@ class _Cut:
         elif z is None:
             z, why = framing.assumed_height(echoes, self.altitude)
             if self.altitude is None and "altitude" not in echoes.attrs and framing.height_matters(echoes):
-                warnings.warn(f"{store.path}: {why}", stacklevel=5)
+                _checks.warn(f"{line}: {why}")
             level = z
         else:
             level = z = _checks.number("z", z)
@@ -247,20 +265,20 @@ class _Cut:
         swath, (step, across) = self.swath or swath, self.pixel or spacing
         middle = round(float(np.mean(track.places[:, 1])) / across) * across
         away = framing.span(*swath, across)
-        columns = min(max(round(_checks.number("tile", self.tile, positive=True) / step), 1), _MOST_TILE // (8 * away.size))
+        columns = min(max(round(self.tile / step), 1), _MOST_TILE // (8 * away.size))
         if columns < 1:
             raise ValueError(f"swath: {away.size} pixels across: expected fewer than {_MOST_TILE // 8}")
-        many = max(round(_checks.number("section", self.section, positive=True) / (columns * step)), 1)
+        many = max(round(self.section / (columns * step)), 1)
         frame = echoes.attrs.get("frame")
         found = []
         for name, sign in sides:
             y = np.sort(middle + sign * away)
             begin = StripPlan(
-                f"{number:03d}-{name}", os.path.abspath(store.path), name, (float(track.origin[0]), float(track.origin[1])),
+                f"{number:03d}-{name}", os.path.abspath(line), name, (float(track.origin[0]), float(track.origin[1])),
                 track.rotation, 0.0, y, step, columns, many, middle, z, depth_map,
                 dict(frame) if isinstance(frame, Mapping) else None, self.settings,
             )  # fmt: skip
-            found.append(begun(begin, echoes))
+            found.append(begin)
         return found
 
 

@@ -130,6 +130,12 @@ def run(
     Memory: `plan.memory`, whatever the length of the lines. The store is the same, byte by byte, whoever made it and however
     often it was ended and resumed.
     """
+    text = begin(plan, path, overwrite=overwrite)
+    return resume(text, client=client, threads=threads, progress=progress)
+
+
+def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) -> str:
+    """A new store of a plan, without any tile; returns its name."""
     if not isinstance(plan, SurveyPlan):
         raise TypeError(f"plan={type(plan).__name__}: expected what pysas.survey.plan returns")
     text = files.name(path)
@@ -144,7 +150,7 @@ def run(
     }  # fmt: skip
     with stores.replacing(text, overwrite=overwrite) as folder:
         create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
-    return resume(text, client=client, threads=threads, progress=progress)
+    return text
 
 
 def resume(
@@ -172,7 +178,7 @@ def resume(
             if lacking:
                 jobs.append((number, section))
                 weights.append(len(lacking) * plan.y.size * plan.columns)
-    tiles = sum(plan.tiles for plan in plans)
+    tiles = sum(plan.ready for plan in plans)
     report = SurveyReport(store.path, tiles, before, float(store.header["predicted"]["seconds"]))
     began, whole, done = time.perf_counter(), sum(weights) or 1, 0
 

@@ -110,13 +110,18 @@ class StripPlan:
         return np.asarray(self.start + self.step * np.arange(self.tiles * self.columns), dtype=np.float64)
 
     @property
+    def ready(self) -> int:
+        """How many tiles no ping to come lights."""
+        return self.tiles if self.complete or not self.blocks else self.blocks[-1].final
+
+    @property
     def sections(self) -> int:
         """How many there are."""
-        return -(-self.tiles // self.section)
+        return -(-self.ready // self.section)
 
     def tiles_of(self, section: int) -> range:
-        """Tiles of a section."""
-        return range(section * self.section, min((section + 1) * self.section, self.tiles))
+        """Tiles of a section that are ready."""
+        return range(section * self.section, min((section + 1) * self.section, self.ready))
 
     def ends_of(self, section: int) -> tuple[int, int]:
         """First column of a section and the one after its last; they do not depend on how long the line becomes."""
