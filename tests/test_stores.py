@@ -32,6 +32,7 @@ from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
 
 CONTAINERS = (".npz", ".h5", ".zarr")
+BY_PING = ("data", "ping_time", "rx", "t0", "tx", "velocity")  # arrays of `line`
 PAGE = Path(__file__).parents[1] / "docs" / "survey.md"
 
 
@@ -184,9 +185,7 @@ def test_readers_of_a_growing_store_see_whole_pings(tmp_path: Path) -> None:
     writer.close()
     assert pysas.open_echoes(path).complete
     zarr_sees = zarr.open_group(str(path), mode="r")
-    assert {name: array.shape[0] for name, array in zarr_sees.arrays() if name != "beam_boresight"} == dict.fromkeys(
-        ("data", "ping_time", "rx", "t0", "tx", "velocity"), 300
-    )
+    assert {name: array.shape[0] for name, array in zarr_sees.arrays() if name in BY_PING} == dict.fromkeys(BY_PING, 300)
 
 
 def test_a_ping_half_written_is_not_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,9 +280,55 @@ def test_pings_of_another_kind_are_refused(tmp_path: Path) -> None:
     assert same(pysas.load(tmp_path / "a.zarr"), echoes)
 
 
-def test_outputs(tmp_path: Path) -> None:
-    echoes = line(4)
+def test_resume_refuses_what_it_would_spoil(tmp_path: Path) -> None:
+    """Zarr takes a missing chunk for zeros and would give them a checksum; arrays that do not grow would lack pings."""
+    parts = line(6).data.view(np.float32).reshape(6, 2, 64, 2)
+    spoilt: dict[str, Callable[[Path], Any]] = {
+        "data, chunk 0 .*: missing": lambda p: (p / "data" / "c.0.0.0").unlink(),
+        "data, chunk 0 .*: damaged": lambda p: flipped(p / "data" / "c.0.0.0"),
+        "heave: found a row a ping, expected only fields of pysas-echoes-1": lambda p: put(p, "heave", np.ones(6)),
+        "data: found real and imaginary part along an axis": lambda p: (shutil.rmtree(p / "data"), put(p, "data", parts)),
+        "pings: missing, expected": lambda p: header(p, pings=None),
+    }
     path = tmp_path / "a.zarr"
+    for message, spoil in spoilt.items():
+        pysas.save(path, line(6))
+        spoil(path)
+        with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: {message}"):
+            pysas.EchoWriter(path, resume=True)
+
+
+def test_int16_goes_on_with_samples_of_either_precision(tmp_path: Path) -> None:
+    echoes = line(4)
+    for resume, dtype in ((False, np.complex128), (True, np.complex64), (True, np.complex128)):
+        with pysas.EchoWriter(tmp_path / "a.zarr", int16=not resume, resume=resume) as writer:
+            writer.append(echoes.replace(data=echoes.data.astype(dtype)))
+    found = pysas.load_echoes(tmp_path / "a.zarr").data
+    assert np.array_equal(found[:4], found[4:8]) and np.array_equal(found[:4], found[8:])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
+def test_a_store_is_known_by_its_folder_and_not_by_its_name_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    odd = "a::b/http:/x.zarr"  # Zarr takes "::" and "://" for a place in the network
+    (tmp_path / odd).parent.mkdir(parents=True)
+    pysas.save(odd, line(4))
+    writer = pysas.EchoWriter("w.zarr")
+    with pysas.open_echoes("a::b/http://x.zarr") as store:
+        writer.append(line(4))
+        monkeypatch.chdir("a::b")
+        assert same(store.echoes(), line(4))
+        writer.append(line(4))
+        writer.close()
+        assert pysas.load_echoes(tmp_path / "w.zarr").n_ping == 8 and os.listdir() == ["http:"]
+        for _ in range(3):  # folders' numbers are given again
+            pysas.save(tmp_path / odd, line(4, seed=9))
+            with pytest.raises(ValueError, match=r"x\.zarr: found another store than was opened"):
+                store.echoes()
+
+
+def test_outputs(tmp_path: Path) -> None:
+    echoes, path = line(4), tmp_path / "a.zarr"
     with pytest.raises(ValueError, match=r"a\.h5: expected a name that ends in \.zarr"):
         pysas.EchoWriter(tmp_path / "a.h5")
     with pytest.raises(FileNotFoundError, match=r"a\.zarr"):
@@ -300,8 +345,10 @@ def test_outputs(tmp_path: Path) -> None:
             write()
     pysas.save(path, line(7))
     assert pysas.load_echoes(path).n_ping == 7
+    (tmp_path / "folder.zarr").mkdir()
+    (tmp_path / "folder.zarr" / "zarr.json").write_text("[" * 200_000)  # deeper than Python reads
+    (tmp_path / "file.zarr").write_text("mine")
     for other in ("folder.zarr", "file.zarr"):
-        (tmp_path / other).mkdir() if other.startswith("folder") else (tmp_path / other).write_text("mine")
         with pytest.raises(ValueError, match=rf"{other}: exists and is no store of echoes"):
             pysas.save(tmp_path / other, echoes)
     zarr.create_group(str(tmp_path / "other.zarr"), zarr_format=3, attributes={"schema": "somebody's"})
@@ -310,7 +357,50 @@ def test_outputs(tmp_path: Path) -> None:
     assert sorted(item.name for item in tmp_path.iterdir()) == ["a.zarr", "file.zarr", "folder.zarr", "other.zarr"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no permissions of POSIX there")
+def test_a_store_takes_anothers_place_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.zarr"
+    pysas.save(path, line(4))
+    path.chmod(0o750)
+    pysas.save(path, line(5))
+    assert path.stat().st_mode & 0o777 == 0o750
+
+    def full(*_: Path) -> None:
+        raise OSError(28, "No space left on device", "a part")
+
+    moves = iter((os.rename, full, os.rename))  # the old store aside, the new one to its place, the old one back
+    for name, fake, message in (
+        ("rename", lambda *names: next(moves)(*names), "No space left on device"),
+        ("access", lambda *_: False, "the store is read-only"),  # root may write everywhere
+    ):
+        with monkeypatch.context() as patch, pytest.raises(OSError, match=rf"{message}: '{re.escape(str(path))}'$"):
+            patch.setattr(os, name, fake)
+            pysas.save(path, line(6))
+    assert pysas.load_echoes(path).n_ping == 5 and [item.name for item in tmp_path.iterdir()] == ["a.zarr"]
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stores, "_MOST_CHUNK", 1000)  # a ping has 1024 bytes, in int16 half of that
+    monkeypatch.setattr(stores, "_CHUNK_BYTES", 1000)
+    with pytest.raises(ValueError, match="data: found 1024 bytes a ping, expected at most 1000"):
+        pysas.save(tmp_path / "a.zarr", line(4))
+    monkeypatch.setattr(stores, "_MOST_HEADER", 9000)
+    with pytest.raises(ValueError, match="zarr.json: found .* bytes, expected a file of at most 9000"):
+        pysas.EchoWriter(tmp_path / "b.zarr", int16=True).append(line(4, attrs={"log": "x" * 9000}))
+    assert not list(tmp_path.iterdir())
+    pysas.EchoWriter(tmp_path / "c.zarr", int16=True).append(line(4))
+    assert np.abs(pysas.load_echoes(tmp_path / "c.zarr").data - line(4).data).max() < 2e-4
+
+
 # Damage
+
+
+def put(path: Path, name: str, array: Array) -> None:
+    """An array that Zarr writes, of a row a ping."""
+    zarr.open_group(str(path), mode="r+").create_array(
+        name, data=array, chunks=array.shape, compressors=[zarr.codecs.Crc32cCodec()], filters=None,
+        dimension_names=("ping", *map(str, range(1, array.ndim))),
+    )  # fmt: skip
 
 
 def header(path: Path, **changes: Any) -> None:
@@ -327,6 +417,10 @@ def of_array(path: Path, name: str, change: Callable[[dict[str, Any]], Any]) -> 
     text = json.loads((path / name / "zarr.json").read_text())
     change(text)
     (path / name / "zarr.json").write_text(json.dumps(text))
+
+
+def chunked(path: Path, name: str, *shape: int) -> None:
+    of_array(path, name, lambda text: text["chunk_grid"]["configuration"].update(chunk_shape=shape))
 
 
 def written_to(path: Path, name: str, value: Array) -> None:
@@ -360,33 +454,27 @@ BROKEN: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no tx": (lambda p: shutil.rmtree(p / "tx"), "tx: missing, expected float64"),
     "tx twice": (lambda p: header(p, tx=1.0), "tx: found as an attribute and as an array"),
     "an array without a header": (lambda p: (p / "tx" / "zarr.json").unlink(), "tx: zarr.json: missing"),
-    "other codecs": (
-        lambda p: of_array(p, "tx", lambda text: text["codecs"].pop()), "tx: found codecs bytes, expected bytes, crc32c",
-    ),
-    "other chunks": (
-        lambda p: of_array(p, "rx", lambda text: text["chunk_grid"]["configuration"].update(chunk_shape=[128, 1, 3])),
-        "rx: found float64 of shape .* expected numbers, whole along axis 0",
-    ),
-    "a chunk of terabytes": (
-        lambda p: of_array(p, "tx", lambda text: text["chunk_grid"]["configuration"].update(chunk_shape=[10**12, 3])),
-        "tx: found chunks of .* expected at most 268435456 bytes each",
-    ),
-    "chunks of another length": (
-        lambda p: of_array(p, "tx", lambda text: text["chunk_grid"]["configuration"].update(chunk_shape=[64, 3])),
-        r"tx, chunk 0 \(0 to 63 along axis 0\): found 3076 bytes, expected 1540",
-    ),
+    "other codecs": (lambda p: of_array(p, "tx", lambda text: text["codecs"].pop()), "tx: found codecs bytes, expected"),
+    "other chunks": (lambda p: chunked(p, "rx", 128, 1, 3), "rx: found float64 of shape .* numbers, whole along axis 0"),
+    "chunks of nothing": (lambda p: chunked(p, "tx", 0, 3), r"tx: found float64 of shape .* in chunks of \(0, 3\), expected"),
+    "a chunk of terabytes": (lambda p: chunked(p, "tx", 10**12, 3), "tx: found chunks of .* at most 268435456 bytes each"),
+    "chunks of another length": (lambda p: chunked(p, "tx", 64, 3), r"tx, chunk 0 \(0 to 63 .*: found 3076 bytes, .* 1540"),
     "pings beyond what is there": (
         lambda p: (header(p, pings=10**13), [of_array(p, name, lambda text: text["shape"].__setitem__(0, 10**13))
-                   for name in ("data", "tx", "rx", "t0", "ping_time", "velocity")]),
+                   for name in BY_PING]),
         r"(ping_time|rx|t0|tx|velocity), chunk 1 .*: missing",
     ),
+    "axes without names": (
+        lambda p: (header(p, pings=30), [of_array(p, name, lambda text: text.pop("dimension_names")) for name in BY_PING]),
+        r"\w+: found shape \(40.*\), expected .*ping=30",
+    ),
+    "a number beyond float64": (lambda p: header(p, fs=10**400), "fs: int too large"),
+    "a group": (lambda p: (shutil.rmtree(p / "tx"), zarr.open_group(str(p)).create_group("tx")), "tx: found object"),
     "another type": (lambda p: of_array(p, "tx", lambda text: text.update(data_type="int64")), "tx: found int64 .*float64"),
-    "a missing chunk of navigation": (lambda p: (p / "tx" / "c.0.0").unlink(), r"tx, chunk 0 \(0 to 127 .*\): missing"),
+    "no chunk of navigation": (lambda p: (p / "tx" / "c.0.0").unlink(), r"tx, chunk 0 \(0 to 127 .*\): missing"),
     "a short chunk": (lambda p: os.truncate(p / "tx" / "c.0.0", 99), "tx, chunk 0 .*: found 99 bytes, expected 3076"),
     "a long chunk": (lambda p: os.truncate(p / "tx" / "c.0.0", 2**40), "tx, chunk 0 .*: found 1099511627776 bytes"),
-    "a folder for a chunk": (
-        lambda p: ((p / "tx" / "c.0.0").unlink(), (p / "tx" / "c.0.0").mkdir()), "tx, chunk 0 .*: found .* bytes",
-    ),
+    "a folder": (lambda p: ((p / "tx" / "c.0.0").unlink(), (p / "tx" / "c.0.0").mkdir()), "tx, chunk 0 .*: found .* bytes"),
     "a bit of navigation": (lambda p: flipped(p / "tx" / "c.0.0"), "tx, chunk 0 .*: damaged .*checksum"),
     "a bit of samples": (lambda p: flipped(p / "data" / "c.0.0.0"), "data, chunk 0 .*: damaged .*checksum"),
     "a missing chunk": (lambda p: (p / "data" / "c.0.0.0").unlink(), r"data, chunk 0 \(0 to 127 along axis 0\): missing"),
@@ -413,6 +501,8 @@ def test_a_broken_store_is_one_error_that_names_it(case: str, tmp_path: Path) ->
 INT16: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no scale": (lambda p: shutil.rmtree(p / "scale"), "scale: missing, expected float64 a ping"),
     "a scale below zero": (lambda p: written_to(p, "scale", -np.ones(40)), "scale: -1 at ping 0: expected numbers > 0"),
+    "a small scale": (lambda p: written_to(p, "scale", np.full(40, 1e-50)), "scale: 1e-50 at ping 0: .* that float32 holds"),
+    "a large scale": (lambda p: written_to(p, "scale", np.full(40, 1e35)), r"scale: 1e\+35 at ping 0: expected numbers > 0"),
     "no number": (lambda p: written_to(p, "scale", np.full(40, np.nan)), "scale: nan at ping 0"),
     "no I and Q": (
         lambda p: of_array(p, "data", lambda t: (t["shape"].__setitem__(3, 1),
@@ -444,8 +534,9 @@ def test_other_things_of_that_name(tmp_path: Path) -> None:
         pysas.open_echoes(tmp_path / "image.npz")
     pysas.save(tmp_path / "a.zarr", line())
     (tmp_path / "a.zarr" / "note.txt").write_text("read me")
+    zarr.open_group(str(tmp_path / "a.zarr"), mode="r+").create_group("log")
     header(tmp_path / "a.zarr", ship="Alma")
-    with pytest.warns(UserWarning, match=r"a\.zarr: ignored, not in pysas-echoes-1: ship"):
+    with pytest.warns(UserWarning, match=r"a\.zarr: ignored, not in pysas-echoes-1: log, ship"):
         assert same(pysas.load(tmp_path / "a.zarr"), line())
 
 

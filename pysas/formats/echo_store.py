@@ -163,7 +163,7 @@ class EchoStore:
         return first, last
 
     def close(self) -> None:
-        """Close the file; samples can be read no more."""
+        """Close the file; samples are not to be read any more."""
         self._files.close()
 
     def __enter__(self) -> EchoStore:

@@ -13,8 +13,6 @@ from pysas.formats import files, io, stores
 from pysas.formats.fields import Array
 from pysas.model.echoes import Echoes
 
-_MOST_COUNT = 32767
-
 
 class EchoWriter:
     """Pings to a store, a Zarr v3 group of schema "pysas-echoes-1" (extra `survey`), one or many at a time.
@@ -44,7 +42,8 @@ class EchoWriter:
     Raises
     ------
     ValueError
-        Another suffix, something else of that name, `resume` with a store that is damaged or together with `overwrite`.
+        Another suffix, something else of that name, `resume` together with `overwrite` or with a store that is damaged or has
+        arrays of a row a ping that the schema lacks.
     OSError, ImportError
         From the file system, of a store that is there where neither `overwrite` nor `resume` is given or is not there with
         `resume`; no zarr.
@@ -65,6 +64,7 @@ class EchoWriter:
         if resume and overwrite:
             raise ValueError("resume=True, overwrite=True: expected one of both")
         self.n_ping = 0
+        self._folder = os.path.realpath(self.path)  # wherever the process goes
         self._int16, self._overwrite = int16, overwrite
         self._store: stores.Growing | None = None
         self._same: dict[str, Any] = {}  # what all pings have in common, and what each has of its own
@@ -72,11 +72,17 @@ class EchoWriter:
             stores.check_output(self.path, overwrite)
             return
         with io.opened(self.path) as file:
-            navigation, _ = io.read_navigation(file)
+            navigation, known = io.read_navigation(file)
+            self.n_ping = navigation.n_ping
+            for name in file.fields.keys() - known:
+                if file.fields[name][0][:1] == (self.n_ping,):
+                    raise ValueError(f"{name}: found a row a ping, expected only fields of {io.ECHOES}, which grow")
+            if "data" in file.pairs:
+                raise ValueError("data: found real and imaginary part along an axis, expected complex samples or int16")
+            file.rows("data", self.n_ping - 1, self.n_ping)  # the chunk that the next pings are put into
             self._int16 = isinstance(file, stores.Store) and file.counts
-            self._store = stores.Growing(self.path)
-        self._same = _common(*io.by_ping(io.echo_fields(navigation[:1])))
-        self.n_ping = navigation.n_ping
+            self._store = stores.Growing(self._folder)
+        self._same = self._common(*io.by_ping(io.echo_fields(navigation[:1])))
 
     def append(self, echoes: Echoes) -> None:
         """Pings that follow those before.
@@ -101,18 +107,19 @@ class EchoWriter:
         if not isinstance(echoes, Echoes):
             raise TypeError(f"echoes={type(echoes).__name__}: expected pysas.Echoes")
         header, fixed, rows = io.by_ping(io.echo_fields(echoes))
-        common = _common(header, fixed, rows)
+        common = self._common(header, fixed, rows)
         self._require_same(common)
         if self._int16:
             axes = rows["data"][0]
             counts, scale = _counts(echoes, self.n_ping)
             rows |= {"scale": (axes[:1], scale), "data": ((*axes, "iq"), counts)}
         if self._store is None:
-            with stores.replacing(self.path, overwrite=self._overwrite) as folder:
+            with stores.replacing(self._folder, overwrite=self._overwrite) as folder:
                 stores.create(folder, header, fixed, rows, complete=False)
-            self._store, self._same = stores.Growing(self.path), common
+            self._store, self._same = stores.Growing(self._folder), common
         else:
-            self._store.append(rows)
+            with stores.writing(self.path):
+                self._store.append(rows)
         self.n_ping += echoes.n_ping
 
     def _require_same(self, common: dict[str, Any]) -> None:
@@ -124,10 +131,18 @@ class EchoWriter:
                     f"{name}: found {now!s:.60} after {text}: expected the same of all pings, or one a ping from the first"
                 )
 
+    def _common(self, header: dict[str, Any], fixed: io.Named, rows: io.Named) -> dict[str, Any]:
+        own = {}
+        for name, (_, array) in rows.items():
+            dtype = "samples" if name == "data" and self._int16 else array.dtype.newbyteorder("=")
+            own[name] = f"{dtype} (ping, {', '.join(map(str, array.shape[1:]))})"
+        return header | {name: array for name, (_, array) in fixed.items()} | own
+
     def close(self) -> None:
         """Tell readers that the line is complete."""
         if self._store is not None:
-            self._store.finish()
+            with stores.writing(self.path):
+                self._store.finish()
 
     def __enter__(self) -> EchoWriter:
         return self
@@ -137,11 +152,6 @@ class EchoWriter:
             self.close()
 
 
-def _common(header: dict[str, Any], fixed: io.Named, rows: io.Named) -> dict[str, Any]:
-    own = {name: f"{a.dtype.newbyteorder('=')} (ping, {', '.join(map(str, a.shape[1:]))})" for name, (_, a) in rows.items()}
-    return header | {name: array for name, (_, array) in fixed.items()} | own
-
-
 def _counts(echoes: Echoes, before: int) -> tuple[Array, FloatArray]:
     """I and Q in steps of a scale a ping, which float32 holds: (ping, ..., sample, 2) int16 and (ping,)."""
     data = np.ascontiguousarray(echoes.whole().data, dtype=echoes.dtype)
@@ -149,9 +159,9 @@ def _counts(echoes: Echoes, before: int) -> tuple[Array, FloatArray]:
     flat = parts.reshape(parts.shape[0], -1)
     top = np.maximum(flat.max(axis=1), -flat.min(axis=1)).astype(np.float64)
     with np.errstate(over="ignore"):
-        near = (top / _MOST_COUNT).astype(np.float32)
-        near = np.where(near.astype(np.float64) * _MOST_COUNT < top, np.nextafter(near, np.float32(np.inf)), near)
-        good = np.isfinite(np.float32(_MOST_COUNT) * near)
+        near = (top / stores.MOST_COUNT).astype(np.float32)
+        near = np.where(near.astype(np.float64) * stores.MOST_COUNT < top, np.nextafter(near, np.float32(np.inf)), near)
+        good = np.isfinite(np.float32(stores.MOST_COUNT) * near)
     if not good.all():
         ping = int(np.argmin(good))
         raise ValueError(f"data: {top[ping]:g} in ping {before + ping}: expected finite samples that float32 holds, for int16")

@@ -51,7 +51,7 @@ def save(path: str | os.PathLike[str], what: Echoes | Image, *, overwrite: bool 
     path : str or path
         Ends in .npz or .h5, or for echoes in .zarr: a folder. A file of that name is replaced only when the new one is
         complete; the new one has its permissions. What has the old one open or mapped, `what` itself too, goes on seeing
-        the old one.
+        the old one; whoever reads an old .zarr by pings is told that it was replaced.
     what : Echoes or Image
         `attrs` may hold what JSON can (numpy scalars and arrays become numbers and lists); "truth_position" (n, 3) and
         "truth_amplitude" (n,) among them become fields of their own and stay arrays.

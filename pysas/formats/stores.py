@@ -11,6 +11,7 @@ name when it is complete. Whatever ends a writer, its store holds the pings befo
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import os
@@ -36,6 +37,7 @@ _CHUNK_BYTES = 2**21  # a chunk holds so many bytes, or one ping
 _CHUNK_PINGS = 128  # and at most so many: 1200 files an array for 150,000 pings, of which one is written again a ping
 _MOST_CHUNK = 2**28
 _MOST_HEADER = 2**26
+MOST_COUNT = 32767  # of int16
 _CODECS = ["bytes", "crc32c"]
 _OWN = ("pings", "complete", "crc32")
 
@@ -55,14 +57,15 @@ class Store(File):
 
     def __init__(self, folder: str) -> None:
         zarr = library()
-        self._folder = Path(folder)
+        self._folder = Path(os.path.realpath(folder))
+        self._opened = os.stat(self._folder)
         self.fields, self.pairs, self._followed = {}, {}, {}
         self._arrays: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
         self.counts, self.chunk = False, 1
         require_header(self._folder)
         with blamed("zarr.json", "no Zarr v3 group"):
-            group = zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+            group = zarr.open_group(local(self._folder, read_only=True), mode="r", zarr_format=3, use_consolidated=False)
         header = dict(group.attrs)
         require_sum(header)
         for name, value in header.items():
@@ -75,7 +78,7 @@ class Store(File):
         self.complete = header.get("complete", True)
         if type(self.complete) is not bool:
             raise ValueError(f"complete: found {self.complete!r:.60}, expected true or false")
-        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        for entry in sorted(os.scandir(self._folder), key=lambda entry: entry.name):
             if not entry.name.startswith(".") and entry.is_dir():
                 with blamed(entry.name):
                     self._describe(group, entry.name, pings)
@@ -86,17 +89,20 @@ class Store(File):
             raise ValueError("found as an attribute and as an array, expected one of the two")
         require_header(self._folder / name)
         array = group[name]
-        shape, chunks = tuple(array.shape), tuple(getattr(array, "chunks", ()))
+        if not hasattr(array, "chunks"):
+            self.fields[name] = (0,), np.dtype(object)  # a group: no field of ours looks like that
+            return
+        shape, chunks = tuple(array.shape), tuple(array.chunks)
         codecs = [codec["name"] for codec in array.metadata.to_dict()["codecs"]]
         if codecs != _CODECS:
             raise ValueError(f"found codecs {', '.join(codecs)}, expected {', '.join(_CODECS)}")
-        if array.dtype.kind not in "fciub" or not shape or chunks[1:] != tuple(max(n, 1) for n in shape[1:]):
+        if array.dtype.kind not in "fciub" or chunks[:1] in ((), (0,)) or chunks[1:] != tuple(max(n, 1) for n in shape[1:]):
             raise ValueError(
                 f"found {array.dtype} of shape {shape} in chunks of {chunks}, expected numbers, whole along axis 0"
             )
         if math.prod(chunks) * array.dtype.itemsize > _MOST_CHUNK:
             raise ValueError(f"found chunks of {chunks}, expected at most {_MOST_CHUNK} bytes each")
-        if pings is not None and (array.metadata.dimension_names or ("",))[0] == PING:
+        if pings is not None and (name == "data" or (array.metadata.dimension_names or ("",))[0] == PING):
             if shape[0] < pings:
                 raise ValueError(f"found {shape[0]} pings, expected {pings} or more")
             shape = pings, *shape[1:]
@@ -116,28 +122,45 @@ class Store(File):
             )
             raise ValueError(f"scale: {found}, expected float64 a ping beside data of int16, whose last axis is I and Q")
         self.counts, self.chunk = True, int(self._arrays["data"].chunks[0])
-        self._scale = self._read("scale", *self.fields.pop("scale"))
-        bad = ~(np.isfinite(self._scale) & (self._scale > 0))
-        if bad.any():
-            ping = int(np.argmax(bad))
-            raise ValueError(f"scale: {self._scale[ping]:g} at ping {ping}: expected numbers > 0")
+        scale = self._read("scale", *self.fields.pop("scale"))
+        with np.errstate(over="ignore", under="ignore"):
+            self._scale = scale.astype(np.float32)
+            good = (self._scale > 0) & np.isfinite(np.float32(MOST_COUNT) * self._scale)
+        if not good.all():
+            ping = int(np.argmin(good))
+            raise ValueError(f"scale: {scale[ping]:g} at ping {ping}: expected numbers > 0 with samples that float32 holds")
         self.fields["data"] = shape[:-1], np.dtype(np.complex64)
 
     def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         if name in self._values:
-            return np.asarray(self._values[name], dtype=None if dtype.kind == "U" else dtype)
+            with blamed(name):
+                return np.asarray(self._values[name], dtype=None if dtype.kind == "U" else dtype)
         return self._rows(name, 0, shape, dtype)
 
     def _rows(self, name: str, first: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         if name == "data" and self.counts:
             counts = self._stored(name, first, (*shape, 2), np.dtype(np.int16))
-            scale = self._scale[first : first + shape[0]].astype(np.float32)
+            scale = self._scale[first : first + shape[0]]
             parts = allocated(name, counts.shape, np.dtype(np.float32))
-            np.multiply(counts, scale.reshape(-1, *[1] * len(shape)), out=parts)
+            with np.errstate(over="ignore"):  # -32768 beside the largest float32
+                np.multiply(counts, scale.reshape(-1, *[1] * len(shape)), out=parts)
             return np.asarray(parts.view(np.complex64)[..., 0])
         return self._stored(name, first, shape, dtype)
 
     def _stored(self, name: str, first: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        try:
+            return self._gathered(name, first, shape, dtype)
+        finally:
+            self._require_same()
+
+    def _require_same(self) -> None:
+        """What was read is not of a store that has taken this one's place since."""
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(self._folder), self._opened):
+                return
+        raise ValueError("found another store than was opened: it was replaced or moved")
+
+    def _gathered(self, name: str, first: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
         stored, last = self._arrays[name], first + shape[0]
         step = stored.chunks[0]
         numbers = range(first // step, -(-last // step)) if math.prod(shape) else range(0)
@@ -202,7 +225,10 @@ def require(path: str) -> None:
 @contextlib.contextmanager
 def opened(path: str) -> Iterator[File]:
     """The store of this name; errors do not name it."""
-    yield Store(path)
+    with contextlib.ExitStack() as stack:
+        if hasattr(os, "O_DIRECTORY"):  # held: no other folder gets its number meanwhile
+            stack.callback(os.close, os.open(path, os.O_RDONLY | os.O_DIRECTORY))
+        yield Store(path)
 
 
 # Writing
@@ -210,14 +236,15 @@ def opened(path: str) -> Iterator[File]:
 
 def create(folder: Path, header: Mapping[str, Any], fixed: Named, rows: Named, *, complete: bool) -> None:
     """A new group in an empty folder: attributes, arrays that stay, and the first pings of those that have a row a ping."""
-    group = library().create_group(str(folder), zarr_format=3, overwrite=False)
+    group = library().create_group(local(folder), zarr_format=3, overwrite=False)
     for name, (axes, array) in {**fixed, **rows}.items():
-        many = max(array.shape[0], 1)
-        if name in rows:
-            row = math.prod(array.shape[1:]) * array.dtype.itemsize
-            many = max(1, min(_CHUNK_PINGS, _CHUNK_BYTES // row))
+        row = math.prod(array.shape[1:]) * array.dtype.itemsize
+        if row > _MOST_CHUNK:
+            raise ValueError(f"{name}: found {row} bytes a ping, expected at most {_MOST_CHUNK}")
+        many = max(1, min(_CHUNK_PINGS if name in rows else array.shape[0], _CHUNK_BYTES // row))
         create_array(group, name, axes, array, many)
     _put(group, dict(header), next(iter(rows.values()))[1].shape[0], complete)
+    require_header(folder)
 
 
 def create_array(group: Any, name: str, axes: tuple[str, ...], array: Array, many: int) -> None:
@@ -240,11 +267,11 @@ class Growing:
     """A group that is written to; its arrays are those it was created with."""
 
     def __init__(self, folder: str) -> None:
-        self._group = library().open_group(folder, mode="r+", zarr_format=3, use_consolidated=False)
+        self._group = library().open_group(local(Path(folder)), mode="r+", zarr_format=3, use_consolidated=False)
         require_sum(header := dict(self._group.attrs))
         self._header = {name: value for name, value in header.items() if name not in _OWN}
         if "pings" not in header:
-            raise ValueError(f"{folder}: pings: missing, expected a store that pysas.EchoWriter wrote")
+            raise ValueError("pings: missing, expected a store that pysas.EchoWriter wrote")
         self.pings = int(header["pings"])
         self._arrays: dict[str, Any] = {}
 
@@ -270,22 +297,44 @@ class Growing:
 def replacing(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
     """The name for a new folder, which takes the place of `path` when the block ends, and is gone when the block fails.
 
-    A killed process leaves a `.pysas-*.part.zarr` beside the target. Only a store that can be told to be one is replaced.
+    A killed process leaves a `.pysas-*.part.zarr` beside the target, and the store that was there as `.old` of that name if
+    killed between two renames. Only a store that can be told to be one is replaced; the new one has its permissions.
     """
     target = check_output(path, overwrite)
     part = target.parent / f".pysas-{os.getpid()}-{secrets.token_hex(4)}.part{SUFFIX}"
     try:
-        yield part
-        if target.exists():
-            old = part.with_name(f"{part.name}.old")
-            os.rename(check_output(path, overwrite), old)
-            os.rename(part, target)
-            shutil.rmtree(old)
-        else:
-            os.rename(part, target)
+        with writing(path):
+            yield part
+            if target.exists():
+                _exchange(part, check_output(path, overwrite))
+            else:
+                os.rename(part, target)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
+
+
+def _exchange(part: Path, target: Path) -> None:
+    part.chmod(stat.S_IMODE(target.stat().st_mode))
+    old = part.with_name(f"{part.name}.old")
+    os.rename(target, old)
+    try:
+        os.rename(part, target)
+    except BaseException:
+        os.rename(old, target)
+        raise
+    shutil.rmtree(old)
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """What the file system says of a part of a store that is written, as an error that names the store."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, files.name(path)) from error
 
 
 def check_output(path: str | os.PathLike[str], overwrite: bool) -> Path:
@@ -299,6 +348,8 @@ def check_output(path: str | os.PathLike[str], overwrite: bool) -> Path:
             raise ValueError(f"{text}: exists and is no store of echoes: expected a new name")
         if not overwrite:
             raise FileExistsError(f"{text}: exists: expected a new name")
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, "the store is read-only", text)
     return target
 
 
@@ -306,15 +357,21 @@ def _is_store(folder: Path) -> bool:
     try:
         require_header(folder)
         schema = json.loads((folder / "zarr.json").read_bytes())["attributes"]["schema"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
     return isinstance(schema, str) and schema.startswith("pysas-")
+
+
+def local(folder: Path, *, read_only: bool = False) -> Any:
+    """A folder of this machine: Zarr takes a name with "::" or "://" for a place in the network."""
+    return library().storage.LocalStore(os.path.realpath(folder), read_only=read_only)
 
 
 def library() -> Any:
     try:
         import zarr
         import zarr.codecs
+        import zarr.storage
     except ImportError:
         raise _checks.optional("zarr", "survey") from None
     return zarr
