@@ -31,8 +31,8 @@ def follow(
 ) -> SurveyReport:  # fmt: skip
     """Image a line while it is recorded, until its recorder says that it is complete.
 
-    The strip's axes lie along the first 100 m of the track. Otherwise tiles are those of `plan` and `run` on the whole line, and
-    a store that was ended goes on with `again` (or with `resume`, as far as the line was planned) to the same bytes.
+    Axes lie along the first 100 m of the track; otherwise tiles are those of `plan` and `run` on the whole line. A store that
+    was ended goes on with `again`, or with `resume` as far as the line was planned, to the same bytes.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def follow(
 
     Notes
     -----
-    A tile is done about a footprint's and a tile's length after the sonar has passed it. Opening a line costs O(navigation) each
-    time it has grown by a tile's length: 2 s of 150,000 pings of 32 receivers.
+    A tile is done about a footprint's and a tile's length after the sonar has passed it. Each look at a line that has grown
+    reads its navigation: 2 s of 150,000 pings of 32 receivers.
     """
     text = files.name(line)
     if not io.is_store(text):
@@ -136,7 +136,8 @@ class _Following:
     """Strips of one line, as they grow."""
 
     def __init__(
-        self, plans: list[StripPlan], store: SurveyStore, again: bool, threads: int | None, progress: Callable[[int], None] | None
+        self, plans: list[StripPlan], store: SurveyStore, again: bool, threads: int | None,
+        progress: Callable[[int], None] | None,
     ) -> None:  # fmt: skip
         self.plans, self.store, self.threads, self.progress = plans, store, threads, progress
         self.open: list[dict[int, Section]] = [{} for _ in plans]

@@ -64,7 +64,7 @@ class StripStore:
         zarr = stores.library()
         with blamed(self.name):
             stores.require_header(folder)
-            self._group = zarr.open_group(str(folder), mode="r+", zarr_format=3, use_consolidated=False)
+            self._group = zarr.open_group(stores.local(folder), mode="r+", zarr_format=3, use_consolidated=False)
             self.attributes = dict(self._group.attrs)
             stores.require_sum(self.attributes)
             del self.attributes["crc32"]
@@ -232,7 +232,7 @@ class SurveyStore:
 def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader]) -> None:
     """A new store in a folder that is not there yet; tiles have no pixels and no records."""
     zarr = stores.library()
-    root = zarr.create_group(str(folder), zarr_format=3, overwrite=False)
+    root = zarr.create_group(stores.local(folder), zarr_format=3, overwrite=False)
     for strip in strips:
         attributes = {**strip.attributes, "columns": strip.columns}
         group = root.create_group(strip.name, attributes={**attributes, "crc32": stores.sum_of(attributes)})
