@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +24,11 @@ from pysas.model.grid import Grid
 from pysas.planning import framing
 from pysas.planning.relief import laid_over
 
+_SILENT = 30.0  # s of work without a word where there is no terminal
+
 
 class Progress:
-    """A bar on a terminal, a plain line a step otherwise, nothing with --json; always on standard error."""
+    """A bar on a terminal, a plain line a step and now and then otherwise, nothing with --json; always on standard error."""
 
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
@@ -35,18 +38,28 @@ class Progress:
         """A callback for one step of the work."""
         if self.quiet:
             return None
-        if not self.terminal:
-            print(f"{label} ...", file=sys.stderr, flush=True)
-            return None
         began = time.monotonic()
+        told = [began]
+
+        def left(share: float, seconds: float) -> str:
+            return f", {words.spoken(seconds * (1 - share) / share)} left" if 0.02 < share < 1 and seconds > 5 else ""
+
+        def say(share: float) -> None:
+            now = time.monotonic()
+            if now - told[0] > _SILENT:
+                told[0] = now
+                print(f"{label} {100 * share:.0f} %{left(share, now - began)}", file=sys.stderr, flush=True)
 
         def show(share: float) -> None:
             width = 30
             bar = "#" * int(share * width)
             seconds = time.monotonic() - began
-            end = "\n" if share >= 1 else ""
-            print(f"\r{label:<10} [{bar:<{width}}] {100 * share:3.0f} % {seconds:5.1f} s", end=end, file=sys.stderr, flush=True)
+            text = f"{label:<10} [{bar:<{width}}] {100 * share:3.0f} % {seconds:5.1f} s{left(share, seconds)}"
+            print(f"\r{text:<79}", end="\n" if share >= 1 else "", file=sys.stderr, flush=True)
 
+        if not self.terminal:
+            print(f"{label} ...", file=sys.stderr, flush=True)
+            return say
         return show
 
 
@@ -74,8 +87,8 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     """A file of echoes and where they are imaged, for `read` and `chosen_grid`, and how."""
     sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
     sub.add_argument("--c", type=float, metavar="C", help="sound speed, m/s (default: the file's)")
-    sub.add_argument("--x", type=_span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
-    sub.add_argument("--y", type=_span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
+    sub.add_argument("--x", type=span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
+    sub.add_argument("--y", type=span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
     seabed = sub.add_mutually_exclusive_group()
     seabed.add_argument(
         "--z", type=float, metavar="Z", help="z of the seabed, m (default: by the file's altitude, else the sonar's own)"
@@ -94,7 +107,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     add_threads(sub)
 
 
-def _span(text: str) -> tuple[float, float]:
+def span(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -102,6 +115,15 @@ def _span(text: str) -> tuple[float, float]:
     if not low < high:
         raise argparse.ArgumentTypeError(f"{text!r}: expected MIN below MAX")
     return low, high
+
+
+def window(text: str) -> str | tuple[Any, ...]:
+    """NAME or NAME:PARAMETER of a spectral window."""
+    name, *parameters = text.split(":")
+    try:
+        return (name, *(float(value) for value in parameters)) if parameters else name
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME or NAME:PARAMETER") from None
 
 
 def _spacing(text: str) -> tuple[float, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pysas import _checks, metrics, plot
 from pysas.cli import tracking
-from pysas.cli.common import Command, Progress, add_scene, chosen_grid, has_matplotlib, read, require_places, silenced
+from pysas.cli.common import Command, Progress, add_scene, chosen_grid, has_matplotlib, read, require_places, silenced, window
 from pysas.cli.tracking import add_motion, corrected
 from pysas.engine import BACKENDS
 from pysas.formats import io
@@ -62,7 +62,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--backend", choices=BACKENDS, default="auto")
     sub.add_argument(
         "--window",
-        type=_window,
+        type=window,
         metavar="NAME",
         help="spectral window against side lobes in range: hann, taylor, kaiser:8.6 ...",
     )
@@ -79,14 +79,6 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     )
     add_motion(sub, "none")
     sub.add_argument("--truth", action="store_true", help="find and mark the targets that the file knows of")
-
-
-def _window(text: str) -> str | tuple[Any, ...]:
-    name, *parameters = text.split(":")
-    try:
-        return (name, *(float(value) for value in parameters)) if parameters else name
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected NAME or NAME:PARAMETER") from None
 
 
 def _reference(text: str) -> str | float:

@@ -18,7 +18,7 @@ _ERROR, _INTERRUPTED = 2, 130
 # and their modules
 _COMMANDS = {
     "demo": "demo", "echoes": "echoes", "navigate": "navigate", "image": "image", "compare": "compare",
-    "simulate": "simulation", "convert": "convert", "info": "info", "check": "check",
+    "survey": "surveying", "simulate": "simulation", "convert": "convert", "info": "info", "check": "check",
 }  # fmt: skip
 
 

@@ -33,3 +33,10 @@ def lost_beside(trace: int, channels: int) -> str:
 
 def too_small(kind: np.dtype[np.complexfloating], share: float) -> str:
     return f"the image is so small that {kind} holds it within {share:.2g} of itself only: scale the data"
+
+
+def spoken(seconds: float) -> str:
+    """A time as a person says it."""
+    if seconds < 100:
+        return f"{seconds:.2g} s"
+    return f"{seconds / 60:.3g} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"

@@ -15,8 +15,9 @@ import numpy as np
 from pysas import _checks
 from pysas.formats import files, io
 from pysas.formats.echo_store import EchoStore, open_echoes
+from pysas.imaging.words import spoken
 from pysas.survey.image_store import SurveyStore
-from pysas.survey.lines import Cut, SurveyPlan, spoken
+from pysas.survey.lines import Cut, SurveyPlan
 from pysas.survey.running import SurveyReport, begin, plans_of, resume
 from pysas.survey.sections import Made, Section, reading
 from pysas.survey.tiling import StripPlan, begun, extended

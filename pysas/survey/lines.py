@@ -13,6 +13,7 @@ from pysas import _checks
 from pysas.formats import depth_maps, files
 from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.imaging.planner import METHODS, plan_ahead
+from pysas.imaging.words import spoken
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.planning import framing
@@ -106,13 +107,6 @@ class SurveyPlan:
                 f"{strip.columns} x {strip.y.size} pixels every {strip.step:g} m, {spoken(seconds)}"
             )
         return "\n".join(lines)
-
-
-def spoken(seconds: float) -> str:
-    """A time as a person says it."""
-    if seconds < 100:
-        return f"{seconds:.2g} s"
-    return f"{seconds / 60:.3g} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
 
 
 @_checks.usual_errors

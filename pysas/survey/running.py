@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from pysas import __version__, _checks
+from pysas._checks import FloatArray
 from pysas.formats import files, stores
 from pysas.formats.echo_store import open_echoes
+from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
 from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, SurveyStore, create
-from pysas.survey.lines import SurveyPlan, spoken
+from pysas.survey.lines import SurveyPlan
 from pysas.survey.sections import Made, image_section, made, reading
 from pysas.survey.tiling import StripPlan, navigation_digest
 
@@ -141,7 +143,10 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     text = files.name(path)
     if Path(text).suffix.lower() != stores.SUFFIX:
         raise ValueError(f"{text}: expected a name that ends in {stores.SUFFIX}")
-    target = stores.check_output(text, overwrite)
+    try:
+        target = stores.check_output(text, overwrite)
+    except FileExistsError:
+        raise FileExistsError(f"{text}: exists: expected a new name, or --resume or --overwrite") from None
     for strip in plan.strips:
         if target.exists() and os.path.exists(strip.line) and target.samefile(strip.line):
             raise ValueError(f"{text}: is read by this survey: expected another name")
@@ -238,6 +243,28 @@ def _require_navigation(plan: StripPlan, navigation: Any) -> None:
                 f"{plan.line}: navigation of pings {block.first} to {block.last - 1} is not what the survey was planned from: "
                 "expected the same file, or a new survey, --overwrite"
             )
+
+
+def require_same(plan: SurveyPlan, path: str | os.PathLike[str]) -> None:
+    """Raise ValueError where a store was planned otherwise; names the first thing that differs."""
+    store = SurveyStore(path)
+    expected = "expected what the store was planned with, or --overwrite"
+    if len(store.strips) != len(plan.strips):
+        raise ValueError(f"{store.path}: has {len(store.strips)} strips, these lines {len(plan.strips)}: {expected}")
+    for stored, strip in zip(store.strips, plan.strips, strict=True):
+        was, now = _flat(stored.attributes, stored.y), _flat(strip.attributes(), strip.y)
+        for name in now:
+            if was.get(name) != now[name]:
+                found = "other pings" if name == "blocks" else f"{now[name]!r:.60} after {was.get(name)!r:.60}"
+                raise ValueError(f"{store.path}: {stored.name}: {name}: {found}: {expected}")
+
+
+def _flat(attributes: dict[str, Any], y: FloatArray) -> dict[str, Any]:
+    """A strip's plan without names within names, what follows from others last."""
+    given = {**attributes, **attributes["settings"], "y": [float(y[0]), float(y[-1]), y.size]}
+    last = ("start", "tiles", "blocks")
+    order = [name for name in given if name not in ("settings", *last)]
+    return {name: given[name] for name in (*order, *last)}
 
 
 @dataclass(frozen=True)
