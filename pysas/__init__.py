@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as _numpy  # noqa: F401  by one thread, before names are asked for by several
 
 if TYPE_CHECKING:
-    from pysas import circular, comparison, metrics, motion, navigation, plot, reference, simulation, tracks
+    from pysas import circular, comparison, metrics, motion, navigation, plot, reference, simulation, survey, tracks
     from pysas.engine import get_include, get_library, show_config
     from pysas.formats.echo_store import EchoStore, open_echoes
     from pysas.formats.growing import EchoWriter
@@ -40,7 +40,7 @@ __all__ = [
     "autofocus", "backproject", "backproject_arrays", "circular", "comparison", "compress", "demodulate", "ffbp", "focus",
     "from_phase_history", "get_include", "get_library", "inspect", "load", "load_echoes", "load_image", "metrics",
     "micronavigate", "motion", "navigation", "open_echoes", "plan", "plot", "read_table", "reference", "save",
-    "show_config", "simulate", "simulation", "tracks",
+    "show_config", "simulate", "simulation", "survey", "tracks",
 ]  # fmt: skip
 
 # where those are that are no modules

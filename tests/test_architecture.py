@@ -18,8 +18,9 @@ import pysas
 
 DATA_MODEL = {"pysas._checks"} | {name for name in MODULES if within(name, "pysas.model")}
 TOOLS = {"pysas._pool", "pysas._pool.leaving"}  # threads for any loop: without NumPy, so without a delay
+STRIPS = {"pysas.survey.strips", "pysas.survey.pings"}  # of a survey what sums; the rest of it keeps stores
 EDGE = {"pysas", "pysas.plot", "pysas.__main__", "pysas.tracks"} | {
-    name for name in MODULES if within(name, ("pysas.formats", "pysas.cli"))
+    name for name in MODULES if within(name, ("pysas.formats", "pysas.cli", "pysas.survey")) and name not in STRIPS
 }
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = ("pysas.engine", "pysas.planning", "pysas.imaging")
