@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import secrets
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -92,17 +93,15 @@ class StripStore:
             raise ValueError(f"{name}: found {found}, expected {ARRAYS[name]} of shape {shape} in shards of {tile}, the tiles")
         if math.prod(tile) * array.dtype.itemsize > _MOST_TILE:
             raise ValueError(f"{name}: found {found}, expected shards of at most {_MOST_TILE} bytes")
-        return array.with_config({"write_empty_chunks": True})
+        return array
 
     def write(self, tile: int, data: npt.NDArray[np.complex64], record: Mapping[str, Any]) -> None:
         """A tile's pixels (row, column), and then its record, which becomes that of a tile that is done."""
         pixels = np.ascontiguousarray(data, dtype=np.complex64)
         if pixels.shape != (self.y.size, self.columns):
             raise _checks.InternalError(f"tile of shape {pixels.shape}")
-        where = slice(tile * self.columns, (tile + 1) * self.columns)
-        for name, values in (("data", pixels), ("magnitude", np.abs(pixels))):
-            self._arrays[name][:, where] = values
-        shards = {name: self._sum(name, tile) for name in ARRAYS}
+        arrays = {"data": pixels, "magnitude": np.abs(pixels)}
+        shards = {name: _write_shard(self._shard(name, tile), array) for name, array in arrays.items()}
         self.put(tile, {**record, "state": DONE, "shards": shards})
 
     def put(self, tile: int, record: Mapping[str, Any]) -> None:
@@ -248,6 +247,44 @@ def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader
         group.create_group(_RECORDS)
     attributes = {**header, "schema": SCHEMA, "strips": [strip.name for strip in strips]}
     root.update_attributes({**attributes, "crc32": stores.sum_of(attributes)})
+
+
+def _write_shard(path: Path, pixels: npt.NDArray[Any]) -> list[int]:
+    """A tile as Zarr's sharding codec has it: inner chunks, each with its CRC-32C, and the index of their places; returns the
+    number of bytes and their CRC-32. Zarr's own writing costs a tenth of imaging the tile, this a third of that."""
+    from google_crc32c import value as crc32c  # Zarr's own
+
+    rows, pixels = _inner(pixels.shape[0]), pixels.view()
+    pixels.setflags(write=False)
+    parts: list[Any] = []
+    index, place = [], 0
+    for first in range(0, pixels.shape[0], rows):
+        chunk = pixels[first : first + rows].reshape(-1).view(np.uint8)
+        parts += [chunk, crc32c(chunk).to_bytes(4, "little")]
+        index += [place, chunk.size + 4]
+        place += chunk.size + 4
+    end = np.array(index, dtype="<u8").tobytes()
+    parts += [end, crc32c(end).to_bytes(4, "little")]
+    part = path.with_name(f"{path.name}.{secrets.token_hex(8)}.partial")
+    try:
+        with open(part, "xb", buffering=0) as file:
+            for one in parts:
+                _write_all(file, one)
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    total = 0
+    for one in parts:
+        total = zlib.crc32(one, total)
+    return [place + len(end) + 4, total]
+
+
+def _write_all(file: Any, content: Any) -> None:
+    """However little the file takes at a time."""
+    left = memoryview(content)
+    while left.nbytes:
+        left = left[file.write(left) :]
 
 
 def _inner(rows: int) -> int:
