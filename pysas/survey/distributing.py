@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -44,14 +45,16 @@ def by_client(
         raise TypeError("client: asynchronous: expected one that waits, distributed.Client(address)")
     left = list(reversed(jobs))
     flying: dict[Any, tuple[int, int]] = {}
-    seen = time.monotonic()
+    workers: dict[str, Any] = {}
+    asked, seen = -math.inf, time.monotonic()
     try:
         while left or flying:
-            workers = _workers(client)
-            if workers:
-                seen = time.monotonic()
+            now = time.monotonic()
+            if now - asked > _WAIT:  # of a thousand workers the answer is a megabyte
+                workers, asked = _workers(client), now
                 _require_memory(workers, memory)
-            elif time.monotonic() - seen > _NOBODY:
+            seen = now if workers else seen
+            if now - seen > _NOBODY:
                 raise ConnectionError(f"{_address(client)}: no worker, or no scheduler, for {_NOBODY:g} s")
             while left and len(flying) < len(workers):
                 job = left.pop()

@@ -8,6 +8,7 @@ leave the same bytes. Chunks carry their CRC-32C, records the CRC-32 of the shar
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -204,7 +205,8 @@ class SurveyStore:
     path : str
     header : dict
         Its attributes.
-    strips : list of StripStore
+    names : list of str
+        Of the strips.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -223,7 +225,19 @@ class SurveyStore:
                 raise ValueError(f"strips: found {names!r:.60}, expected names")
             if any(Path(name).name != name or name.startswith(".") for name in names):
                 raise ValueError(f"strips: found {names!r:.60}, expected names of groups of this one")
-            self.strips = [StripStore(folder / name) for name in names]
+            self.names: list[str] = names
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{self.path}: {f'{error} missing' if isinstance(error, KeyError) else error}") from error
+
+    @functools.cached_property
+    def strips(self) -> list[StripStore]:
+        """All of them."""
+        return [self.strip(number) for number in range(len(self.names))]
+
+    def strip(self, number: int) -> StripStore:
+        """One of them, opened."""
+        try:
+            return StripStore(Path(self.path) / self.names[number])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{self.path}: {f'{error} missing' if isinstance(error, KeyError) else error}") from error
 

@@ -17,7 +17,7 @@ from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
 from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
-from pysas.survey.sections import Made, image_section, made, reading
+from pysas.survey.sections import Made, close_lines, image_section, made, reading
 from pysas.survey.tiling import StripPlan, navigation_digest
 
 Job = tuple[int, int]  # numbers of a strip and of its section
@@ -207,6 +207,8 @@ def resume(
     except (OSError, MemoryError) as error:
         error.add_note(f"pysas survey --resume -o {store.path} goes on from there")
         raise
+    finally:
+        close_lines()
     report.seconds = time.perf_counter() - began
     return report
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import warnings
 import zlib
@@ -187,14 +188,33 @@ def image_section(
         failure.
     """
     with _ONE:
-        store = SurveyStore(path).strips[number]
+        store = SurveyStore(path).strip(number)
         plan = StripPlan.of(store.attributes, store.y)
         wanted = missing(plan, store, section)
         if not wanted:
             return []
-        with open_echoes(plan.line) as echoes, Section(plan, store, section, threads) as work:
-            _make(work, echoes, wanted, progress)
+        with Section(plan, store, section, threads) as work:
+            _make(work, _opened(plan.line), wanted, progress)
         return work.done
+
+
+_kept: dict[tuple[str, int, int], EchoStore] = {}  # the line that was opened last, by its name, folder and time of change
+
+
+def _opened(line: str) -> EchoStore:
+    """A line's navigation is read once for all of its sections that follow each other in a process."""
+    found = os.stat(os.path.join(line, "zarr.json") if os.path.isdir(line) else line)
+    key = line, found.st_ino, found.st_mtime_ns
+    if key not in _kept:
+        close_lines()
+        _kept[key] = open_echoes(line)
+    return _kept[key]
+
+
+def close_lines() -> None:
+    """Let go of what is kept open."""
+    while _kept:
+        _kept.popitem()[1].close()
 
 
 def _make(work: Section, echoes: EchoStore, wanted: list[int], progress: Callable[[float], None] | None) -> None:

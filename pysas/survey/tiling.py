@@ -7,6 +7,7 @@ comes out the same, bit by bit, whoever makes it and whatever was made before.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pysas import __version__, _checks
 from pysas._checks import FloatArray
@@ -165,19 +167,30 @@ class StripPlan:
     def blocks_of(self, tiles: range) -> list[int]:
         """Numbers of the blocks that light some of these tiles."""
         low, high = tiles.start * self.columns, tiles.stop * self.columns
-        return [k for k, block in enumerate(self.blocks) if block.low < high and block.high > low]
+        lows, highs = self._ends
+        return [int(k) for k in np.flatnonzero((lows < high) & (highs > low) & (lows < highs))]
+
+    @functools.cached_property
+    def _ends(self) -> npt.NDArray[np.int64]:
+        """First columns of the blocks, and those after their last."""
+        return np.array([(block.low, block.high) for block in self.blocks], dtype=np.int64).reshape(-1, 2).T
 
     def recipe(self, tile: int) -> str:
         """SHA-256 of all that a tile is made from but its samples."""
-        section = tile // self.section
-        first, last = self.ends_of(section)
-        of_tile = [dataclasses.asdict(self.blocks[k]) for k in self.blocks_of(range(tile, tile + 1))]
-        for block in of_tile:
-            del block["final"]
-        given = self.attributes() | {"blocks": of_tile, "y": digest_of(self.y), "ends": [first, last], "tile": tile}
-        for name in ("name", "line", "frame", "track", "complete", "tiles"):
+        blocks = [
+            [one.first, one.last, one.low, one.high, one.navigation]
+            for one in (self.blocks[k] for k in self.blocks_of(range(tile, tile + 1)))
+        ]
+        given = [__version__, self._common, self.ends_of(tile // self.section), tile, blocks]
+        return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+    @functools.cached_property
+    def _common(self) -> dict[str, Any]:
+        """What all tiles are made from."""
+        given = dataclasses.replace(self, blocks=()).attributes() | {"y": digest_of(self.y)}
+        for name in ("name", "line", "frame", "track", "complete", "tiles", "blocks"):
             del given[name]
-        return hashlib.sha256(json.dumps([__version__, given], sort_keys=True).encode()).hexdigest()
+        return given
 
     def attributes(self) -> dict[str, Any]:
         """What a store keeps of it beside its axes."""
