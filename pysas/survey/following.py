@@ -78,7 +78,7 @@ def follow(
         if options:
             raise TypeError(f"{', '.join(options)}: expected none with again: the store has its plan")
         report = resume(path, threads=threads)
-        before = report.before + len(report.made) - len(report.failed)
+        before = report.there
         plans = plans_of(SurveyStore(path))
     else:
         cut, before = Cut.of(**options), 0
@@ -165,6 +165,7 @@ class _Following:
         tiles = sum(plan.ready for plan in self.plans)
         report = SurveyReport(self.store.path, tiles, before, 0.0, self.made)
         report.seconds = time.perf_counter() - began
+        report.there = before + len(self.made) - len(report.failed)
         return report
 
     def _go_on(self, number: int, echoes: EchoStore) -> None:

@@ -35,8 +35,8 @@ class SurveyReport:
         Tiles of this run, failed ones too.
     lost : list of (strip, section, reason)
         What ended with its worker, again and again.
-    before, tiles : int
-        Tiles that were there already, and all.
+    before, there, tiles : int
+        Tiles that were there already, that are there now, and all.
     seconds, predicted : float
         Of this run, and what the plan said of all.
     """
@@ -48,6 +48,7 @@ class SurveyReport:
     made: list[Made] = field(default_factory=list)
     lost: list[tuple[str, int, str]] = field(default_factory=list)
     seconds: float = 0.0
+    there: int = 0
 
     @property
     def failed(self) -> list[Made]:
@@ -57,13 +58,13 @@ class SurveyReport:
     @property
     def complete(self) -> bool:
         """Whether all tiles are there."""
-        return self.before + len(self.made) - len(self.failed) == self.tiles
+        return self.there == self.tiles
 
     def as_dict(self) -> dict[str, Any]:
         """Plain types, ready for JSON."""
         pixels, terms = sum(one.pixels for one in self.made), sum(one.terms for one in self.made)
         return {
-            "store": self.path, "version": __version__, "tiles": self.tiles, "made": len(self.made) - len(self.failed),
+            "store": self.path, "version": __version__, "tiles": self.tiles, "made": self.there - self.before,
             "before": self.before, "complete": self.complete, "seconds": self.seconds, "predicted_seconds": self.predicted,
             "pixels": pixels, "terms": terms, "pixels_per_second": pixels / self.seconds if self.seconds else 0.0,
             "failed": [{"strip": one.strip, "tile": one.tile, "reason": one.reason} for one in self.failed],
@@ -176,13 +177,15 @@ def resume(
     for part in [part for strip in store.strips for part in strip.parts()]:
         part.unlink(missing_ok=True)
     jobs, before, weights = [], 0, []
+    lacking: dict[Job, list[int]] = {}
     for number, (plan, strip) in enumerate(zip(plans, store.strips, strict=True)):
         for section in range(plan.sections):
-            lacking = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
-            before += len(plan.tiles_of(section)) - len(lacking)
-            if lacking:
+            missing = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
+            before += len(plan.tiles_of(section)) - len(missing)
+            if missing:
                 jobs.append((number, section))
-                weights.append(len(lacking) * plan.y.size * plan.columns)
+                lacking[number, section] = missing
+                weights.append(len(missing) * plan.y.size * plan.columns)
     tiles = sum(plan.ready for plan in plans)
     report = SurveyReport(store.path, tiles, before, float(store.header["predicted"]["seconds"]))
     began, whole, done = time.perf_counter(), sum(weights) or 1, 0
@@ -210,6 +213,10 @@ def resume(
     finally:
         close_lines()
     report.seconds = time.perf_counter() - began
+    # not what tasks have told: one may have died after it had made some
+    report.there = before + sum(
+        made(plans[number], store.strips[number], tile) for number, section in jobs for tile in lacking[number, section]
+    )
     return report
 
 

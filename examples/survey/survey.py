@@ -1,0 +1,139 @@
+"""A survey from two stores of echoes to a map, killed on the way and resumed, on this machine and on a Dask cluster.
+
+    python examples/survey/survey.py --out FOLDER [--length 300]
+
+`scene.py` beside it makes two lines that pass a wreck on opposite sides. They are imaged by `pysas survey`: once undisturbed,
+once killed (kill -9) in the midst of it and resumed, and once by two workers of a Dask scheduler, of which one is killed. All
+files of the three stores are the same, byte by byte. A bit is then changed in one of them, which `--verify` names and `--resume`
+mends. `pysas mosaic` makes a GeoTIFF in UTM of it, in which the targets lie where the scene has put them. Every command is
+printed as it is run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+OPTIONS = "--pixel 0.05 --swath 8:45 --tol 1e-2 --tile 10 --section 50"
+
+
+def pysas(text: str, folder: Path, *, expect: int = 0) -> str:
+    """Run a command of the command line in a folder; returns what it prints."""
+    print(f"$ pysas {text}", flush=True)
+    done = subprocess.run([sys.executable, "-m", "pysas", *shlex.split(text)], cwd=folder, stdout=subprocess.PIPE, text=True)
+    print(done.stdout, end="", flush=True)
+    if done.returncode != expect:
+        raise SystemExit(f"pysas {text}: exit code {done.returncode}, expected {expect}")
+    return done.stdout
+
+
+def killed(text: str, folder: Path, store: Path, tiles: int) -> None:
+    """Begin a command and kill it as soon as its store has so many tiles."""
+    print(f"$ pysas {text}   # and kill -9", flush=True)
+    process = subprocess.Popen([sys.executable, "-m", "pysas", *shlex.split(text)], cwd=folder, stdout=subprocess.DEVNULL)
+    while process.poll() is None and len(list(store.glob("*/records/*/zarr.json"))) < tiles:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+
+
+def content(store: Path) -> dict[str, bytes]:
+    """All files of a store."""
+    return {str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()}
+
+
+def by_dask(lines: str, folder: Path) -> None:
+    """The same survey by a scheduler and two workers, one of which dies."""
+    address = folder / "scheduler.json"
+    address.unlink(missing_ok=True)
+    quiet = {"cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    processes = [subprocess.Popen([*dask, "--scheduler-file", str(address)], **quiet)]
+    try:
+        while not (address.exists() and address.stat().st_size):
+            time.sleep(0.05)
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(address), "--nthreads", "1"]
+        processes += [subprocess.Popen([*worker, "--no-dashboard", "--host", "127.0.0.1"], **quiet) for _ in range(2)]
+        at = json.loads(address.read_text())["address"]
+        text = f"survey {lines} -o dask.zarr {OPTIONS} --scheduler {at}"
+        print(f"$ pysas {text}   # and kill -9 of a worker", flush=True)
+        client = subprocess.Popen([sys.executable, "-m", "pysas", *shlex.split(text)], cwd=folder)
+        while client.poll() is None and not list((folder / "dask.zarr").glob("*/records/*/zarr.json")):
+            time.sleep(0.01)
+        os.killpg(processes[1].pid, signal.SIGKILL)
+        if client.wait() != 0:
+            raise SystemExit("the survey on the cluster did not end well")
+    finally:
+        for process in processes:
+            try:
+                os.killpg(process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+            process.wait()
+
+
+def peaks(tiff: Path, truth: dict) -> None:
+    """How far from its truth in UTM each target's brightest pixel lies."""
+    import rasterio
+
+    with rasterio.open(tiff) as file:
+        print(f"{tiff.name}: {file.width} x {file.height} pixels of {file.res[0]:g} m, {file.crs}")
+        image, step = file.read(1), file.res[0]
+        for east, north in zip(truth["targets"]["easting"], truth["targets"]["northing"], strict=True):
+            row, column = file.index(east, north)
+            near = image[row - 10 : row + 11, column - 10 : column + 11]
+            best = np.unravel_index(np.nanargmax(near), near.shape)
+            x, y = file.xy(row - 10 + best[0], column - 10 + best[1])
+            off = np.hypot(x - east, y - north)
+            print(f"  target at E {east:.2f}, N {north:.2f}: found {100 * off:.1f} cm away")
+            if off > 1.5 * step:
+                raise SystemExit("a target is not where it was put")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", required=True, type=Path)
+    parser.add_argument("--length", type=float, default=300.0, help="of the lines, m")
+    args = parser.parse_args()
+    folder = args.out.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = Path(__file__).with_name("scene.py")
+    subprocess.run([sys.executable, scene, "--out", folder, "--length", str(args.length)], check=True)
+    lines = "line1.zarr line2.zarr"
+
+    pysas(f"survey {lines} -o survey.zarr {OPTIONS} --overwrite", folder)
+    killed(f"survey {lines} -o killed.zarr {OPTIONS} --overwrite", folder, folder / "killed.zarr", 3)
+    pysas(f"survey {lines} -o killed.zarr {OPTIONS} --resume", folder)
+    by_dask(lines, folder)
+    undisturbed = content(folder / "survey.zarr")
+    for other in ("killed.zarr", "dask.zarr"):
+        if content(folder / other) != undisturbed:
+            raise SystemExit(f"{other} is not survey.zarr")
+        print(f"{other}: all {len(undisturbed)} files as in survey.zarr, byte by byte")
+
+    shard = folder / "killed.zarr" / "000-starboard" / "data" / "c.0.2"
+    bits = bytearray(shard.read_bytes())
+    bits[12345] ^= 1
+    shard.write_bytes(bits)
+    pysas("survey -o killed.zarr --verify", folder, expect=1)
+    pysas("survey -o killed.zarr --resume", folder)
+    pysas("survey -o killed.zarr --verify", folder)
+    if content(folder / "killed.zarr") != undisturbed:
+        raise SystemExit("the store was not mended")
+
+    pysas("mosaic survey.zarr -o survey.tif --db 40 --overwrite", folder)
+    pysas("mosaic survey.zarr -o float.tif --overwrite", folder)
+    peaks(folder / "float.tif", json.loads((folder / "truth.json").read_text()))
+
+
+if __name__ == "__main__":
+    main()
