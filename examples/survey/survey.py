@@ -3,10 +3,10 @@
     python examples/survey/survey.py --out FOLDER [--length 300]
 
 `scene.py` beside it makes two lines that pass a wreck on opposite sides. They are imaged by `pysas survey`: once undisturbed,
-once killed (kill -9) in the midst of it and resumed, and once by two workers of a Dask scheduler, of which one is killed. All
-files of the three stores are the same, byte by byte. A bit is then changed in one of them, which `--verify` names and `--resume`
-mends. `pysas mosaic` makes a GeoTIFF in UTM of it, in which the targets lie where the scene has put them. Every command is
-printed as it is run.
+once killed (kill -9) in the midst of it and resumed, and once by two workers of a Dask scheduler, of which one is killed. The
+three stores are the same, byte by byte. A bit is then changed in one of them, which `--verify` names and `--resume` mends.
+`pysas mosaic` makes a GeoTIFF in UTM of it, in which the targets lie where the scene has put them. Every command is printed as
+it is run.
 """
 
 from __future__ import annotations
