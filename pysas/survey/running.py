@@ -79,12 +79,12 @@ class SurveyReport:
         reasons: dict[tuple[str, str], list[int]] = {}
         for one in self.failed:
             reasons.setdefault((one.strip, one.reason), []).append(one.tile)
-        lines += [f"  failed: {strip}, tiles {_spans(tiles)}: {reason}" for (strip, reason), tiles in reasons.items()]
+        lines += [f"  failed: {strip}, tiles {spans(tiles)}: {reason}" for (strip, reason), tiles in reasons.items()]
         lines += [f"  lost: {strip}, section {section}: {reason}" for strip, section, reason in self.lost]
         return "\n".join(lines)
 
 
-def _spans(numbers: list[int]) -> str:
+def spans(numbers: list[int]) -> str:
     """2, 3, 4, 7 as 2-4, 7."""
     found: list[list[int]] = []
     for number in sorted(numbers):
