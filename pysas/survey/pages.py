@@ -70,8 +70,8 @@ def page(
     Notes
     -----
     Without matplotlib the page has no pictures and says what to install. Quick-looks show the mean power of boxes of pixels;
-    where a survey has more than 4e9 of them, of evenly spaced stretches of its strips. Of more than 40 strips the first 40 have
-    one. Memory: three times a tile's magnitudes, and the pictures.
+    where a survey has more than 4e9 of them, or 20,000 tiles, of evenly spaced stretches of its strips. Of more than 40 strips
+    the first 40 have one. Memory: some times a tile's magnitudes, and the pictures.
     """
     if not isinstance(report, SurveyReport):
         raise TypeError(f"report={type(report).__name__}: expected what pysas.survey.run returns")
@@ -221,15 +221,19 @@ def _html(
         *_totals(values, report),
         "<h2>Coverage</h2>",
         _table(
-            ("strip", "line", "side", "tiles", *_STATES, "done, %"),
+            ("strip", "line", "side", "tiles", *_STATES, "done, %", "length, m", "terms", "not needed, %", "predicted error"),
             [
-                (s["name"], os.path.basename(s["line"]), s["side"], s["tiles"], *(s[state] for state in _STATES),
-                 f"{100 * s['share_done']:.1f}")
+                (
+                    s["name"], os.path.basename(s["line"]), s["side"], s["tiles"], *(s[state] for state in _STATES),
+                    f"{100 * s['share_done']:.1f}", f"{s['length']:.4g}", f"{s['terms']:.3g}",
+                    "" if s["share_left_out"] is None else f"{100 * s['share_left_out']:.3g}",
+                    "" if s["predicted_error"] is None else f"{s['predicted_error']:.2g}",
+                )
                 for s in strips
             ],
         ),
         "<p>dark: no ping lights the tile; failed: its pings could not be imaged; damaged: its files are not what was written; "
-        "missing: not made yet.</p>",
+        "missing: not made yet. Terms were summed; others were not needed. The error is the largest of the planner's bounds.</p>",
     ]  # fmt: skip
     if map_shown is not None:
         parts.append(_image(map_shown, "coverage map", "map"))
@@ -291,22 +295,17 @@ def _failures(values: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _settings(strips: Sequence[Mapping[str, Any]]) -> str:
-    """Strips in columns' order; those of equal settings share a row."""
+    """Strips of equal settings share a row."""
     rows: dict[tuple[str, ...], list[str]] = {}
     for s in strips:
         height = f"depth map {s['depth_map']}" if s["z"] is None else f"z = {s['z']:.6g}"
-        error = "" if s["predicted_error"] is None else f"{s['predicted_error']:.2g}"
-        left = "" if s["share_left_out"] is None else f"{100 * s['share_left_out']:.3g}"
         row = (
-            f"{s['tol']}", error, f"{s['method']} ({', '.join(s['methods'])})", f"{s['backend']}, nan={s['nan']}",
+            f"{s['tol']}", f"{s['method']} ({', '.join(s['methods'])})", f"{s['backend']}, nan={s['nan']}",
             "none" if s["window"] is None else f"{s['window']}",
-            f"{s['pixel_along']:.4g} x {s['pixel_across']:.4g}", f"{s['near']:.4g} to {s['far']:.4g}", height, left,
+            f"{s['pixel_along']:.4g} x {s['pixel_across']:.4g}", f"{s['near']:.4g} to {s['far']:.4g}", height,
         )  # fmt: skip
         rows.setdefault(row, []).append(s["name"])
-    names = (
-        "strips", "tol", "predicted error, at most", "method", "backend", "window", "pixel, m along x across", "swath, m",
-        "seabed, m", "terms not needed, %",
-    )  # fmt: skip
+    names = "strips", "tol", "method", "backend", "window", "pixel, m along x across", "swath, m", "seabed, m"
     return _table(names, [(", ".join(some), *row) for row, some in rows.items()])
 
 

@@ -276,7 +276,8 @@ def quicklook(strip: StripPlan, panels: Sequence[Panel]) -> bytes:
         ax.set_ylim(*away)
         ax.set_ylabel("across, m", fontsize="small")
     axes[-1].set_xlabel("along the track, m")
-    figure.colorbar(drawn, ax=list(axes), label=f"dB re {level:.1f} dB,\nthe 99.9th percentile", extend="max", aspect=12)
+    said = f"dB re {level:.1f} dB,\nthe 99.9th percentile"
+    figure.colorbar(drawn, ax=list(axes), label=said, extend="max", aspect=12 * len(panels))
     if found:
         patches = [Patch(facecolor=COLOURS[state], hatch="////", label=state) for state in COLOURS if state in found]
         axes[0].legend(handles=patches, loc="upper right", fontsize="small", ncols=len(patches))

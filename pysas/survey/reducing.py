@@ -19,7 +19,7 @@ _WIDE, _HIGH = 1200, 400  # boxes of a row, at most
 _LOW = 100  # boxes across for which a strip is wrapped
 _ROWS = 8
 _MOST_BOXES = 8_000_000  # of all rows of a page, which become its bytes
-_MOST_READ = 4_000_000_000  # pixels of a page: a minute
+_MOST_READ, _MOST_TILES = 4_000_000_000, 20_000  # pixels and tiles of a page: a minute or two
 
 
 def rows_of(
@@ -42,7 +42,7 @@ def rows_of(
     wide = int(np.clip(share * _MOST_BOXES / (_ROWS * 1.5 * _LOW), _WIDE / 4, _WIDE))
     length = plan.tiles * plan.columns * plan.step
     many = int(np.clip(round(length * _LOW / (across * wide)), 1, min(_ROWS, plan.tiles)))
-    most = max(int(share * _MOST_READ / pixels), many)
+    most = max(int(share * min(_MOST_READ / pixels, _MOST_TILES)), many)
     each = min(-(-plan.tiles // many), max(most // many, 1))
     if each * many >= plan.tiles:
         firsts = list(range(0, plan.tiles, each))
