@@ -29,8 +29,8 @@ _SUFFIXES = ".html", ".htm"
 _STATES = tuple(pictures.COLOURS)
 _MOST_PICTURES, _MOST_NOTES = 40, 200
 _STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 72em; padding: 0 1em; color: #222; }
-table { border-collapse: collapse; margin: 0.6em 0; } th { background: #f0f0f0; }
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 76em; padding: 0 1em; color: #222; }
+table { border-collapse: collapse; margin: 0.6em 0; font-size: 13px; } th { background: #f0f0f0; }
 th, td { border: 1px solid #ccc; padding: 0.25em 0.6em; text-align: left; } td:first-child { min-width: 6.5em; }
 td.n { text-align: right; font-variant-numeric: tabular-nums; } td:last-child { overflow-wrap: anywhere; }
 img { max-width: 100%; } img.map { max-width: 52em; }
@@ -233,7 +233,7 @@ def _html(
             ],
         ),
         "<p>dark: no ping lights the tile; failed: its pings could not be imaged; damaged: its files are not what was written; "
-        "missing: not made yet. Terms were summed; others were not needed. The error is the largest of the planner's bounds.</p>",
+        "missing: not made yet. Terms: those summed; others were not needed. Error: the largest of the planner's bounds.</p>",
     ]  # fmt: skip
     if map_shown is not None:
         parts.append(_image(map_shown, "coverage map", "map"))
