@@ -160,11 +160,13 @@ class Chart:
         shape = float(np.clip(high / wide, 0.3, 1.2))
         figure = plot._figure(figsize=(width, 0.75 * width * shape + 1.6), dpi=_DPI, layout="constrained")
         ax = figure.add_subplot()
-        margin = 0.03 * (self.high - self.low).max()
-        ax.set_xlim(self.low[0] - margin - self.origin[0], self.high[0] + margin - self.origin[0])
-        ax.set_ylim(self.low[1] - margin - self.origin[1], self.high[1] + margin - self.origin[1])
+        equal = _SLIMMEST < high / wide < 1 / _SLIMMEST
+        margin = 0.03 * (np.full(2, max(wide, high)) if equal else np.array([wide, high]))
+        low, top = self.low - margin - self.origin, self.high + margin - self.origin
+        ax.set_xlim(low[0], top[0])
+        ax.set_ylim(low[1], top[1])
         notes = []
-        if _SLIMMEST < high / wide < 1 / _SLIMMEST:
+        if equal:
             ax.set_aspect("equal")
         else:
             notes.append("axes are of different scales")
