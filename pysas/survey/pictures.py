@@ -80,7 +80,7 @@ def overview(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool 
                 label=side,
             )
     chart.tracks(ax)
-    ax.legend(loc="upper left", fontsize="small", framealpha=0.8)
+    figure.legend(loc="outside lower center", fontsize="small", ncols=6)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # letters of a file's name that the font does not have
         plot.write(figure, path, kind, dpi=_DPI, overwrite=overwrite)
@@ -103,7 +103,7 @@ def coverage(strips: Sequence[StripPlan], states: Sequence[Sequence[str]]) -> by
         if state not in (DONE, DARK):  # one tile of thousands must be seen
             ax.plot(*polygons.mean(axis=1).T, "s", ms=2, color=colour, zorder=3)
     chart.tracks(ax)
-    ax.legend(loc="upper left", fontsize="small", framealpha=0.8)
+    figure.legend(loc="outside lower center", fontsize="small", ncols=6)
     return png(figure)
 
 
