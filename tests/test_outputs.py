@@ -20,7 +20,7 @@ SPANS = ["--x", "-1:1", "--y", "9:11", "--spacing", "0.5"]
 READS = {"raw", "grid", "depth_map", "points", "file", "lines", "samples", "pulse", "nav", "pings", "levers"}
 READS |= {"fs", "fc", "bandwidth", "t0", "c", "pulse_centre"}  # of `echoes`, which may be variables of a file
 TEXTS = {"dtype", "scheduler"}
-WRITES = {"output", "png"}
+WRITES = {"output", "png", "report"}
 # by command: what it reads, with the arguments that name it, and what it may write
 INPUTS = {
     "image": {"raw.npz": [], "grid.npz": ["--grid", "grid.npz"], "map.npz": ["--depth-map", "map.npz"], "raw.h5": []},

@@ -8,13 +8,14 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from pysas import _checks
-from pysas.cli.common import Command, Progress, add_overwrite, add_threads, span, window
+from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places, span, window
 from pysas.engine import BACKENDS
 from pysas.planning.framing import SIDES
-from pysas.survey import SurveyPlan, SurveyReport, follow, plan, resume, run, verify
+from pysas.survey import SurveyPlan, SurveyReport, follow, overview, page, plan, resume, run, verify
 from pysas.survey.lines import SECTION, TILE
 from pysas.survey.running import require_same
 
@@ -51,6 +52,8 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     what.add_argument("--follow", action="store_true", help="image one line that still grows, until its recorder ends it")
     sub.add_argument("--patience", type=float, metavar="S", help="of --follow: end after so long without a ping")
     sub.add_argument("--resume", action="store_true", help="make only what STORE lacks")
+    sub.add_argument("--png", metavar="FILE", help="map of the plan to draw (needs matplotlib)")
+    sub.add_argument("--report", metavar="HTML", help="page on what was made, with quick-looks; and a .json beside it")
     add_overwrite(sub)
 
 
@@ -67,8 +70,11 @@ def _pixel(text: str) -> tuple[float, float]:
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 where tiles fail or are damaged."""
     options = {name: value for name in _PLANNED if (value := getattr(arguments, name)) is not None}
+    _require_places(arguments)
     if arguments.plan:
         made = plan(_lines(arguments), threads=arguments.threads, **options)
+        if arguments.png is not None:
+            overview(made, arguments.png, overwrite=arguments.overwrite)
         print(json.dumps(_planned(made)) if arguments.json else made)
         return 0
     if arguments.output is None:
@@ -77,8 +83,24 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         return _verified(arguments, progress)
     with _client(arguments.scheduler) as client:
         report = _report(arguments, options, progress, client)
+    if arguments.report is not None:
+        page(arguments.output, report, arguments.report, overwrite=arguments.overwrite or arguments.resume)
     print(json.dumps(report.as_dict()) if arguments.json else report)
     return int(bool(report.failed or report.lost))
+
+
+def _require_places(arguments: argparse.Namespace) -> None:
+    """Raise now what writing the pictures and the page would raise after the work."""
+    if arguments.png is not None and not arguments.plan:
+        raise ValueError("--png: expected with --plan: it is a map of the plan")
+    if arguments.report is not None and Path(arguments.report).suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"--report {arguments.report}: expected a name that ends in .html")
+    beside = None if arguments.report is None else str(Path(arguments.report).with_suffix(".json"))
+    inputs = [*arguments.lines, arguments.depth_map]
+    again = arguments.overwrite or arguments.resume
+    for text in (arguments.report, beside):
+        require_places(inputs, text=text, overwrite=again)
+    require_places(inputs, picture=arguments.png, overwrite=arguments.overwrite)
 
 
 def _lines(arguments: argparse.Namespace) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -94,8 +95,9 @@ class SurveyPlan:
         return found
 
     def __str__(self) -> str:
+        count = len({strip.line for strip in self.strips})
         lines = [
-            f"survey of {len({strip.line for strip in self.strips})} lines: {sum(strip.tiles for strip in self.strips)} tiles, "
+            f"survey of {count} line{'s' * (count > 1)}: {sum(strip.tiles for strip in self.strips)} tiles, "
             f"{sum(s.tiles * s.columns * s.y.size for s in self.strips):.3g} pixels; predicted {spoken(sum(self.seconds))} on "
             f"{self.threads} threads, {self.memory / 1e6:.0f} MB a process"
         ]
@@ -330,17 +332,20 @@ def _require_same_sonar(first: EchoStore, other: EchoStore) -> None:
             raise ValueError(
                 f"{other.path}: {name}={now!r}, {first.path} has {was!r}: expected lines of one sonar; survey others apart"
             )
-    tied = [_tied(store) for store in (first, other)]
-    if tied[0] != tied[1]:
+    was, now = (_frame(store) for store in (first, other))
+    if was != now:
         raise ValueError(
-            f"{first.path} is {'' if tied[0] else 'not '}tied to a latitude and longitude by attrs['frame'], {other.path} is "
-            f"{'' if tied[1] else 'not'}: expected all lines or none"
+            f"{other.path}: its coordinates are {now}, those of {first.path} {was}: expected attrs['frame'] of one kind, as "
+            "pysas echoes writes it"
         )
 
 
-def _tied(store: EchoStore) -> bool:
+def _frame(store: EchoStore) -> str:
+    """What ties a line's coordinates to those of others."""
     frame = store.navigation.attrs.get("frame")
-    return isinstance(frame, Mapping) and frame.get("lat") is not None
+    if not isinstance(frame, Mapping):
+        return "local metres"
+    return "tied to no latitude and longitude" if frame.get("lat") is None else "tied to a latitude and longitude"
 
 
 def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, float]:
@@ -354,9 +359,13 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     grid = strip.grid(dear.low, dear.high - dear.low)
     s = plan.settings
     try:
-        made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is silent is an error here
+            made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
     except ValueError as error:
         raise ValueError(f"{plan.line}: {error}") from error
+    if made.silent:
+        raise ValueError(f"{plan.line}: nothing to {plan.side}: {made.silent}")
     tile = plan.y.size * plan.columns * 8
     pending = ((dear.high - dear.low) // plan.columns + 2 + 3) * tile  # those to come, and one being written
     pings = some.data.size * some.dtype.itemsize * (2 if some.compressed else 4)  # the next block is read meanwhile

@@ -18,9 +18,9 @@ import numpy as np
 
 from pysas import _checks
 from pysas.formats import files
+from pysas.imaging.words import spoken
 from pysas.survey import pictures
 from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripStore, SurveyStore
-from pysas.survey.lines import spoken
 from pysas.survey.reducing import rows_of
 from pysas.survey.running import SurveyReport, spans
 from pysas.survey.tiling import StripPlan

@@ -15,7 +15,7 @@ from pysas.formats import files, stores
 from pysas.formats.echo_store import open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
-from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, SurveyStore, create
+from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
 from pysas.survey.sections import Made, close_lines, image_section, made, reading
 from pysas.survey.tiling import StripPlan, navigation_digest
@@ -231,18 +231,20 @@ def plans_of(store: SurveyStore) -> list[StripPlan]:
     """The plans of a store's strips, once lines and version are what they were planned with."""
     if (found := store.header.get("version")) != __version__:
         raise ValueError(f"{store.path}: planned by pysas {found}, this is {__version__}: expected a new survey, --overwrite")
-    plans = []
-    for strip in store.strips:
-        try:
-            plans.append(StripPlan.of(strip.attributes, strip.y))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
+    plans = [_plan_of(store, strip) for strip in store.strips]
     for line in dict.fromkeys(plan.line for plan in plans):
         with open_echoes(line) as echoes:
             for plan in plans:
                 if plan.line == line:
                     _require_navigation(plan, echoes.navigation)
     return plans
+
+
+def _plan_of(store: SurveyStore, strip: StripStore) -> StripPlan:
+    try:
+        return StripPlan.of(strip.attributes, strip.y)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
 
 
 def _require_navigation(plan: StripPlan, navigation: Any) -> None:
@@ -316,7 +318,7 @@ def verify(
     _checks.callback("progress", progress)
     store = SurveyStore(path)
     found: list[Damage] = []
-    plans = [StripPlan.of(strip.attributes, strip.y) for strip in store.strips]
+    plans = [_plan_of(store, strip) for strip in store.strips]
     whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
     done = 0
 

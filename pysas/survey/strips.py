@@ -364,7 +364,8 @@ def reaches_along(echoes: Echoes, strip: Strip) -> list[tuple[float, float] | No
     longest = last / 2 + np.max(np.linalg.norm(echoes.receivers - echoes.tx[:, None], axis=-1), axis=1)
     margin = float(np.max(np.abs(np.diff(strip.y, prepend=strip.y[0])))) + strip.step  # rows between those looked at
     found: list[tuple[float, float] | None] = []
-    for tx, to, reach in zip(echoes.tx, toward, longest, strict=True):
+    looks = np.broadcast_to(beam.boresights, (echoes.n_ping, 3))
+    for tx, to, look, reach in zip(echoes.tx, toward, looks, longest, strict=True):
         away = ground - tx[1:]
         square = np.sum(away**2, axis=1)
         farthest = np.sqrt(np.maximum(reach**2 - square, 0.0)) * (reach**2 > square)
@@ -378,6 +379,8 @@ def reaches_along(echoes: Echoes, strip: Strip) -> list[tuple[float, float] | No
             low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
             low[~real], high[~real] = 1.0, -1.0
         lit = (low <= high) & (farthest > 0)
+        if fan:  # which holds boresight's side alone
+            lit &= np.maximum(look[0] * low, look[0] * high) + away @ look[1:] >= 0
         ends_lit = (float(tx[0] + low[lit].min() - margin), float(tx[0] + high[lit].max() + margin)) if lit.any() else None
         found.append(ends_lit)
     return found
