@@ -18,7 +18,8 @@ _ERROR, _INTERRUPTED = 2, 130
 # and their modules
 _COMMANDS = {
     "demo": "demo", "echoes": "echoes", "navigate": "navigate", "image": "image", "compare": "compare",
-    "survey": "surveying", "simulate": "simulation", "convert": "convert", "info": "info", "check": "check",
+    "survey": "surveying", "mosaic": "mosaicking", "simulate": "simulation", "convert": "convert", "info": "info",
+    "check": "check",
 }  # fmt: skip
 
 
