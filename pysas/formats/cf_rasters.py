@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pysas import _checks
 from pysas.formats import files, rasters, stores
 from pysas.formats.rasters import WINDOW, Raster
 
@@ -35,9 +36,14 @@ def write_netcdf(path: str | os.PathLike[str], raster: Raster, *, overwrite: boo
     with rasters.replacing(path, overwrite=overwrite) as folder, _one_thread():
         chunks = tuple(min(WINDOW, size) for size in raster.shape)
         encoding = {"_FillValue": _FILL, "chunksizes": chunks, "zlib": True, "complevel": 1}
-        _dataset(raster).to_netcdf(
-            folder / "made", engine="netcdf4", format="NETCDF4", encoding={"magnitude": encoding, **_plain()}
-        )
+        try:
+            _dataset(raster).to_netcdf(
+                folder / "made", engine="netcdf4", format="NETCDF4", encoding={"magnitude": encoding, **_plain()}
+            )
+        except _checks.InternalError:
+            raise
+        except RuntimeError as error:  # netCDF4's, of a full disk for one
+            raise OSError(f"{files.name(path)}: could not be written: {error}") from error
 
 
 def write_zarr(path: str | os.PathLike[str], raster: Raster, *, overwrite: bool = False) -> None:

@@ -17,7 +17,7 @@ _TILE = 512
 _CACHE = 64  # MB of GDAL's, which takes a twentieth of the machine's memory otherwise
 _DRAFT = {
     "driver": "GTiff", "count": 1, "tiled": True, "blockxsize": _TILE, "blockysize": _TILE, "compress": "deflate", "zlevel": 1,
-    "bigtiff": "if_safer",
+    "bigtiff": "if_safer", "sparse_ok": True,
 }  # fmt: skip
 
 
@@ -70,7 +70,8 @@ def _draft(path: Path, raster: Raster) -> Path:
         for row in range(0, rows, WINDOW):
             for column in range(0, columns, WINDOW):
                 values = raster.window(row, column)
-                draft.write(values, 1, window=_window(row, column, *values.shape))
+                if not np.isnan(values).all():  # what is not written is read as no data
+                    draft.write(values, 1, window=_window(row, column, *values.shape))
         draft.update_tags(**{name: str(value) for name, value in raster.attributes.items()}, AREA_OR_POINT="Area")
         draft.set_band_description(1, "magnitude")
     return path
@@ -86,7 +87,9 @@ def _coded(path: Path, draft: Path, coding: Decibels) -> Path:
                 for column in range(0, source.width, WINDOW):
                     sizes = min(WINDOW, source.height - row), min(WINDOW, source.width - column)
                     window = _window(row, column, *sizes)
-                    target.write(coding.of(source.read(1, window=window)), 1, window=window)
+                    values = coding.of(source.read(1, window=window))
+                    if values.any():
+                        target.write(values, 1, window=window)
             target.update_tags(**source.tags(), reference=repr(coding.reference), db=repr(coding.span))
             target.set_band_description(1, "dB relative to the reference")
             target.units, target.scales, target.offsets = ("dB",), (coding.scale,), (coding.offset,)

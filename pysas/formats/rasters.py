@@ -70,10 +70,12 @@ class Decibels:
     span: float
 
     def of(self, magnitude: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            level = 20 * np.log10(magnitude / np.float32(self.reference))
-        share = np.clip(1 + level / np.float32(self.span), 0, 1)
-        return np.where(np.isnan(magnitude), 0, 1 + np.rint(254 * np.nan_to_num(share))).astype(np.uint8)
+        found = np.zeros(magnitude.shape, dtype=np.uint8)
+        some = ~np.isnan(magnitude)
+        with np.errstate(divide="ignore"):
+            level = 20 * np.log10(magnitude[some] / np.float32(self.reference))
+        found[some] = 1 + np.rint(254 * np.clip(1 + level / np.float32(self.span), 0, 1))
+        return found
 
     @property
     def scale(self) -> float:

@@ -250,15 +250,17 @@ class _Map:
             for begin in range(0, columns, side):
                 where = slice(first, first + side), slice(begin, begin + side)
                 found[where] = self._part(x[where[1]], y[where[0]], found[where])
-        data = found[~np.isnan(found)]
-        self.covered += data.size
-        with np.errstate(divide="ignore"):
-            level = (20 * np.log10(data.astype(np.float64)) + 900) / _BIN
-        self._histogram += np.bincount(np.clip(level, 0, _BINS - 1).astype(np.intp), minlength=_BINS)
+        self._count(found[~np.isnan(found)])
         self._made += 1
         if self._progress is not None:
             self._progress(self._made / self._windows)
         return found
+
+    def _count(self, data: sampling.Floats) -> None:
+        self.covered += data.size
+        with np.errstate(divide="ignore"):
+            level = (20 * np.log10(data.astype(np.float64)) + 900) / _BIN
+        self._histogram += np.bincount(np.clip(level, 0, _BINS - 1).astype(np.intp), minlength=_BINS)
 
     def _part(self, x: FloatArray, y: FloatArray, empty: sampling.Floats) -> sampling.Floats:
         parts = [part for k in self._near(x, y) if (part := self._samplers[k].sample(x, y)) is not None]
