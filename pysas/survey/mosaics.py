@@ -126,7 +126,7 @@ def mosaic(
     strip's samples. Power has no phase to get wrong, is never negative, and its mean is kept whatever the size of pixels; an
     average of magnitudes would darken speckle where it interpolates and nowhere else.
 
-    Time: that of the pixels times the strips that cover them. Memory: windows, 128 MiB of tiles and one tile more, whatever
+    Time: that of the pixels times the strips that cover them. Memory: windows, 96 MiB of tiles and one tile more, whatever
     the sizes of survey and map.
     """
     path, kind = files.name(output), rasters.format_of(output)

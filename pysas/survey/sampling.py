@@ -20,9 +20,10 @@ from pysas.survey.placing import Place, over
 Floats = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 
-_CACHE = 128 * 2**20  # bytes of tiles that are kept
-_MOST_BLOCK = 4 * 2**20  # samples of a strip that are looked at at a time
+_CACHE = 96 * 2**20  # bytes of tiles that are kept
+_MOST_BLOCK = 2 * 2**20  # samples of a strip that are looked at at a time
 _FEATHER_CELLS = 100  # a feather's distances are told to a hundredth of it, or to a sample
+_SAME = 1.01  # samples that a pixel may span and still be taken for one: maps stretch by a thousandth or so
 _LEAST = 1e-6  # weight of a pixel that has data
 
 
@@ -216,7 +217,7 @@ def _cells(begin: int, end: int, cell: int) -> tuple[npt.NDArray[np.intp], npt.N
 
 def _box(width: float) -> Floats:
     """Weights of samples about one whose mean is that over a box of `width` samples, at least one."""
-    half = max(width, 1.0) / 2
+    half = (width if width > _SAME else 1.0) / 2
     offsets = np.arange(-int(np.ceil(half - 0.5 - 1e-9)), int(np.ceil(half - 0.5 - 1e-9)) + 1)
     weights = np.minimum(offsets + 0.5, half) - np.maximum(offsets - 0.5, -half)
     if weights.min() < 0:
