@@ -160,7 +160,7 @@ def mosaic(
 def _require_place(path: str, kind: str, store: str, overwrite: bool) -> None:
     """Raise now what writing would raise after the work, and where it would change the store."""
     source, target = os.path.realpath(store), os.path.realpath(path)
-    if os.path.commonpath([source, target]) == source:
+    if target == source or target.startswith(source + os.sep):
         raise ValueError(f"output={path!r}: lies in the store that is read: expected another place")
     if kind == rasters.ZARR:
         cf_rasters.require_place(path, overwrite)
