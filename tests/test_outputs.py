@@ -94,9 +94,9 @@ def test_every_option_that_names_a_file_is_one_of_these() -> None:
         named = {a.dest for a in sub._actions if a.type is None and a.choices is None and a.nargs != 0}
         assert named <= READS | WRITES | TEXTS, name
         assert ("overwrite" in {a.dest for a in sub._actions}) == bool(named & WRITES), name
-        assert name in ("demo", "info", "check", "echoes", "convert", "survey", "mosaic") or {flag for flag, _ in OUTPUTS[name]} == {
-            a.option_strings[0] for a in sub._actions if a.dest in WRITES
-        }
+        assert name in ("demo", "info", "check", "echoes", "convert", "survey", "mosaic") or {
+            flag for flag, _ in OUTPUTS[name]
+        } == {a.option_strings[0] for a in sub._actions if a.dest in WRITES}
 
 
 ALIASES: dict[str, Callable[[str, str], str]] = {
