@@ -31,7 +31,7 @@ PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {
     "backproject", "ffbp", "focus", "plan", "simulate", "compress", "demodulate", "load", "load_echoes", "load_image", "save",
     "from_phase_history", "show_config", "get_include", "get_library", "inspect", "read_table", "align_points", "autofocus",
-    "open_echoes",
+    "open_echoes", "follow", "mosaic", "overview", "page", "resume", "run", "verify",
 }  # fmt: skip
 
 

@@ -15,9 +15,9 @@ from pysas.formats import files, stores
 from pysas.formats.echo_store import open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
-from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripHeader, StripStore, SurveyStore, create
+from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
-from pysas.survey.sections import Made, close_lines, image_section, made, reading
+from pysas.survey.sections import Made, close_lines, image_section, made
 from pysas.survey.tiling import StripPlan, navigation_digest
 
 Job = tuple[int, int]  # numbers of a strip and of its section
@@ -231,23 +231,25 @@ def plans_of(store: SurveyStore) -> list[StripPlan]:
     """The plans of a store's strips, once lines and version are what they were planned with."""
     if (found := store.header.get("version")) != __version__:
         raise ValueError(f"{store.path}: planned by pysas {found}, this is {__version__}: expected a new survey, --overwrite")
-    plans = [_plan_of(store, strip) for strip in store.strips]
+    plans = [plan_of(store, strip) for strip in store.strips]
     for line in dict.fromkeys(plan.line for plan in plans):
         with open_echoes(line) as echoes:
             for plan in plans:
                 if plan.line == line:
-                    _require_navigation(plan, echoes.navigation)
+                    require_navigation(plan, echoes.navigation)
     return plans
 
 
-def _plan_of(store: SurveyStore, strip: StripStore) -> StripPlan:
+def plan_of(store: SurveyStore, strip: StripStore) -> StripPlan:
+    """The plan of a stored strip."""
     try:
         return StripPlan.of(strip.attributes, strip.y)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
 
 
-def _require_navigation(plan: StripPlan, navigation: Any) -> None:
+def require_navigation(plan: StripPlan, navigation: Any) -> None:
+    """Raise ValueError where a line's navigation is not that of its plan."""
     for block in plan.blocks:
         if block.last > navigation.n_ping or navigation_digest(navigation[block.first : block.last]) != block.navigation:
             raise ValueError(
@@ -276,94 +278,3 @@ def _flat(attributes: dict[str, Any], y: FloatArray) -> dict[str, Any]:
     last = ("start", "tiles", "blocks")
     order = [name for name in given if name not in ("settings", *last)]
     return {name: given[name] for name in (*order, *last)}
-
-
-@dataclass(frozen=True)
-class Damage:
-    """What `verify` found: `where` is a strip and its tile, or a line and its pings."""
-
-    where: str
-    what: str
-
-
-def verify(
-    path: str | os.PathLike[str], *, inputs: bool = True, progress: Callable[[float], None] | None = None
-) -> list[Damage]:
-    """Compare every byte of a store with what was written, and the samples that it was made from with what they were.
-
-    Tiles that are damaged are marked so, and `resume` makes them anew; damaged lines must come from a copy.
-
-    Parameters
-    ----------
-    path : str or path
-    inputs : bool
-        Look at the lines' samples too.
-    progress : callable, optional
-        Is told the share that is done.
-
-    Returns
-    -------
-    list of Damage
-        Empty where all is well. Tiles that are not made are no damage.
-
-    Raises
-    ------
-    ValueError, OSError
-        No such store, or attributes of it that are damaged.
-
-    Notes
-    -----
-    Reads all of it: O(bytes).
-    """
-    _checks.callback("progress", progress)
-    store = SurveyStore(path)
-    found: list[Damage] = []
-    plans = [_plan_of(store, strip) for strip in store.strips]
-    whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
-    done = 0
-
-    def one_more() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done / whole)
-
-    for plan, strip in zip(plans, store.strips, strict=True):
-        samples: dict[tuple[int, int], int] = {}
-        for tile in range(plan.tiles):
-            record = strip.record(tile)
-            where = f"{strip.name}, tile {tile}"
-            if record is None and strip.has_record(tile):
-                found.append(Damage(where, "its record is damaged"))
-                strip.forget(tile)
-            if record is not None and record["state"] == DONE:
-                samples |= {(first, last): value for first, last, value in record.get("input", ())}
-                if (what := strip.damage(tile)) is not None:
-                    found.append(Damage(where, what))
-                    strip.put(tile, {**record, "state": DAMAGED})
-            elif record is not None and record["state"] == DAMAGED:
-                found.append(Damage(where, "found damaged before"))
-            one_more()
-        if inputs:
-            found += _inputs(plan, samples, one_more)
-    return found
-
-
-def _inputs(plan: StripPlan, samples: dict[tuple[int, int], int], one_more: Callable[[], None]) -> list[Damage]:
-    """Of a line: pings whose samples are damaged, or not those that tiles were made from."""
-    try:
-        with open_echoes(plan.line) as echoes:
-            _require_navigation(plan, echoes.navigation)
-            found = []
-            for block in plan.blocks:
-                where = f"{plan.line}, pings {block.first} to {block.last - 1}"
-                try:
-                    _, value = reading(echoes, block.first, block.last)
-                    if samples.get((block.first, block.last), value) != value:
-                        found.append(Damage(where, "other samples than tiles were made from"))
-                except ValueError as error:
-                    found.append(Damage(where, str(error)))
-                one_more()
-            return found
-    except (ValueError, OSError) as error:
-        return [Damage(plan.line, str(error))]
