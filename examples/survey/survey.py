@@ -24,10 +24,12 @@ from pathlib import Path
 
 import numpy as np
 
+import pysas
+
 OPTIONS = "--pixel 0.05 --swath 8:45 --tol 1e-2 --tile 10 --section 50"
 
 
-def pysas(text: str, folder: Path, *, expect: int = 0) -> str:
+def command(text: str, folder: Path, *, expect: int = 0) -> str:
     """Run a command of the command line in a folder; returns what it prints."""
     print(f"$ pysas {text}", flush=True)
     done = subprocess.run([sys.executable, "-m", "pysas", *shlex.split(text)], cwd=folder, stdout=subprocess.PIPE, text=True)
@@ -101,10 +103,40 @@ def places(tiff: Path, truth: dict) -> None:
                 raise SystemExit("a target is not where it was put")
 
 
+def draw(folder: Path, truth: dict, path: Path) -> None:
+    """The map, and the wreck as each line saw it, on that line's own axes."""
+    import matplotlib.pyplot as plt
+    import rasterio
+    import xarray
+
+    with rasterio.open(folder / "survey.tif") as file:
+        step = max(1, file.width // 2000)
+        counts = file.read(1, out_shape=(file.height // step, file.width // step), resampling=rasterio.enums.Resampling.average)
+        left, bottom, right, top = file.bounds
+        crs = file.crs.to_string()
+    figure, axes = plt.subplots(figsize=(13, 8), layout="constrained")
+    shown = np.ma.masked_equal(counts, 0)
+    axes.imshow(shown, cmap="copper", extent=(left, right, bottom, top), vmin=20, vmax=255)
+    wreck = truth["wreck"]
+    axes.set(xlabel=f"easting, m ({crs})", ylabel="northing, m", facecolor="0.93")
+    axes.ticklabel_format(useOffset=False, style="plain")
+    for number, place in enumerate(([0.03, 0.57, 0.3, 0.37], [0.67, 0.07, 0.3, 0.37])):
+        strip = xarray.open_zarr(folder / "survey.zarr", group=f"{number:03d}-starboard", consolidated=False)
+        own = pysas.Grid.plane([0.0], [0.0], origin=strip.origin, rotation=strip.rotation)
+        x, y = own.along_axes([[wreck["x"], wreck["y"]]])[0]
+        near = strip.magnitude.sel(x=slice(x - 14, x + 14), y=slice(y - 12, y + 12)).load()
+        inset = axes.inset_axes(place)
+        level = 20 * np.log10(np.maximum(near, 1e-9)) - 20 * np.log10(float(np.median(strip.magnitude[:, ::20])))
+        inset.imshow(level, cmap="copper", vmin=-20, vmax=25, extent=(-14, 14, y + 12, y - 12), aspect="equal")
+        inset.set_title(f"the wreck from line {number + 1}: along the line and across it, m", fontsize=9)
+    figure.savefig(path, dpi=110, pil_kwargs={"quality": 88} if path.suffix == ".jpg" else None)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--length", type=float, default=300.0, help="of the lines, m")
+    parser.add_argument("--png", type=Path, help="picture to draw (needs matplotlib)")
     args = parser.parse_args()
     folder = args.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,9 +146,9 @@ def main() -> None:
     for name in ("survey.zarr", "killed.zarr", "dask.zarr"):
         shutil.rmtree(folder / name, ignore_errors=True)
 
-    pysas(f"survey {lines} -o survey.zarr {OPTIONS}", folder)
+    command(f"survey {lines} -o survey.zarr {OPTIONS}", folder)
     killed(f"survey {lines} -o killed.zarr {OPTIONS}", folder, folder / "killed.zarr", 3)
-    pysas(f"survey {lines} -o killed.zarr {OPTIONS} --resume", folder)
+    command(f"survey {lines} -o killed.zarr {OPTIONS} --resume", folder)
     by_dask(lines, folder)
     undisturbed = content(folder / "survey.zarr")
     for other in ("killed.zarr", "dask.zarr"):
@@ -128,15 +160,18 @@ def main() -> None:
     bits = bytearray(shard.read_bytes())
     bits[12345] ^= 1
     shard.write_bytes(bits)
-    pysas("survey -o killed.zarr --verify", folder, expect=1)
-    pysas("survey -o killed.zarr --resume", folder)
-    pysas("survey -o killed.zarr --verify", folder)
+    command("survey -o killed.zarr --verify", folder, expect=1)
+    command("survey -o killed.zarr --resume", folder)
+    command("survey -o killed.zarr --verify", folder)
     if content(folder / "killed.zarr") != undisturbed:
         raise SystemExit("the store was not mended")
 
-    pysas("mosaic survey.zarr -o survey.tif --db 40 --overwrite", folder)
-    pysas("mosaic survey.zarr -o float.tif --overwrite", folder)
-    places(folder / "float.tif", json.loads((folder / "truth.json").read_text()))
+    command("mosaic survey.zarr -o survey.tif --db 40 --overwrite", folder)
+    command("mosaic survey.zarr -o float.tif --overwrite", folder)
+    truth = json.loads((folder / "truth.json").read_text())
+    places(folder / "float.tif", truth)
+    if args.png is not None:
+        draw(folder, truth, args.png)
 
 
 if __name__ == "__main__":
