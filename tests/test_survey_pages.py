@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import survey_scenes
+import survey_page_scenes
 import zarr
 from matplotlib.image import imread
 
@@ -48,8 +48,8 @@ class Survey:
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Survey:
     """Two lines; pings 128 to 239 of the first are damaged, and afterwards three tiles of the second."""
     folder = tmp_path_factory.mktemp("survey")
-    survey_scenes.line(folder / NAME, heading=0.0, origin=(0.0, 0.0), frame=FRAME)
-    survey_scenes.line(folder / "two.zarr", heading=np.pi, origin=(60.0, 45.0), frame=FRAME, seed=1)
+    survey_page_scenes.line(folder / NAME, heading=0.0, origin=(0.0, 0.0), frame=FRAME)
+    survey_page_scenes.line(folder / "two.zarr", heading=np.pi, origin=(60.0, 45.0), frame=FRAME, seed=1)
     plan = pysas.survey.plan([folder / NAME, folder / "two.zarr"], tile=5.0, section=20.0)
     flip(folder / NAME / "data" / "c.1.0.0.0")
     report = pysas.survey.run(plan, folder / "images.zarr")

@@ -313,7 +313,9 @@ def _straight(echoes: Echoes) -> framing.Course:
             f"the line turns back on itself: at ping {ping} it is {back[ping]:.3g} m behind where it was: expected lines that "
             "advance; pysas convert --pings cuts them"
         )
-    every = max(1, len(x) // _LEGS)
+    advance = np.linalg.norm(np.diff(track.places, axis=0), axis=1)
+    step = max(float(np.median(advance)), 1e-3) if advance.size else 1.0
+    every = max(int(np.ceil(2 * _BACK / step)), len(x) // _LEGS)  # legs that sway does not turn
     steps = np.diff(track.places[::every], axis=0)
     steps = steps[np.linalg.norm(steps, axis=1) > _BACK]
     headings = np.abs(np.arctan2(steps[:, 1], steps[:, 0]))
