@@ -148,9 +148,9 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
         target = stores.check_output(text, overwrite)
     except FileExistsError:
         raise FileExistsError(f"{text}: exists: expected a new name, or --resume or --overwrite") from None
-    for strip in plan.strips:
-        if target.exists() and os.path.exists(strip.line) and target.samefile(strip.line):
-            raise ValueError(f"{text}: is read by this survey: expected another name")
+    for line in {Path(os.path.realpath(strip.line)) for strip in plan.strips}:
+        if target == line or target in line.parents or line in target.parents:
+            raise ValueError(f"{text}: is, holds or lies in {line}, which is read by this survey: expected another name")
     header = {
         "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
     }  # fmt: skip
