@@ -12,11 +12,12 @@ TARGETS = np.array([[15.0, 18.0], [31.3, 25.2], [52.0, 21.1]])  # m along the li
 
 def line(
     path, heading=0.3, pings=240, origin=(1000.0, 2000.0), seed=0, receivers=6, sides="port", int16=False, raw=False,
-    speeds=False, gap=0.0, beam=True, fc=FC, nan=(),
+    speeds=False, gap=0.0, nan=(), far=LAST,
 ):  # fmt: skip
     """Write echoes of a line that sways, heaves and yaws, and return them.
 
-    `speeds`: a sound speed for each ping; `gap`: m without pings in the middle of the line; `nan`: pings without a number.
+    `speeds`: a sound speed for each ping; `gap`: m without pings in the middle of the line; `nan`: pings without numbers;
+    `far`: slant range that is recorded, m.
     """
     rng = np.random.default_rng(seed)
     x = 0.05 * receivers * np.arange(pings)
@@ -28,11 +29,11 @@ def line(
     arms = 0.1 * (np.arange(receivers) - (receivers - 1) / 2)
     turn = np.array([[np.cos(heading), np.sin(heading), 0], [-np.sin(heading), np.cos(heading), 0], [0, 0, 1]])  # of rows
     at = np.array([*origin, 0.0])
-    pulse = pysas.LFM(fc, BAND, 3e-3, "taylor")
+    pulse = pysas.LFM(FC, BAND, 3e-3, "taylor")
     echoes = pysas.simulate(
         np.column_stack([TARGETS, np.zeros(len(TARGETS))]) @ turn + at, np.full(len(TARGETS), 3.0), pulse, tx=place @ turn + at,
         rx=(place[:, None] + arms[:, None] * ahead[:, None]) @ turn + at, velocity=np.gradient(place, 0.25, axis=0) @ turn,
-        fs=FS, t0=2 * FIRST / C, duration=2 * (LAST - FIRST) / C, c=C + 5 * np.sin(x / 9) if speeds else C, threads=1,
+        fs=FS, t0=2 * FIRST / C, duration=2 * (far - FIRST) / C, c=C + 5 * np.sin(x / 9) if speeds else C, threads=1,
         beam=pysas.Beam(look @ turn, 0.1, np.radians(6), "fan", 0.5, ahead @ turn), attrs={"altitude": ALTITUDE},
     )  # fmt: skip
     if not raw:
@@ -41,7 +42,7 @@ def line(
     noise *= np.abs(np.fft.fftfreq(echoes.n_sample)) <= BAND / 2 / FS
     data = np.asarray(echoes.data + np.fft.ifft(noise), dtype=np.complex64)
     data[list(nan)] = np.nan
-    echoes = echoes.replace(data=data, beam=echoes.beam if beam else None)
+    echoes = echoes.replace(data=data)
     if Path(path).suffix != ".zarr":
         pysas.save(path, echoes)
         return echoes

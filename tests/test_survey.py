@@ -64,6 +64,12 @@ def scene(tmp_path_factory):
     return folder, echoes, plan, tree(folder / "whole.zarr")
 
 
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A short line in memory."""
+    return line(tmp_path_factory.mktemp("short") / "short.npz", pings=100)
+
+
 # Against the exact sum
 
 
@@ -144,9 +150,23 @@ def test_heights_of_a_depth_map(tmp_path):
     SurveyStore(store).strips[0].forget(2)
     with pytest.raises(ValueError, match=r"map\.npz: another depth map than the survey was planned with"):
         survey.resume(store)
-    np.savez(tmp_path / "map.npz", x=x[3:], y=y, z=z[:, 3:])
-    with pytest.raises(ValueError, match=r"line\.zarr.*the depth map holds 0?\.?\d+.* % of 000-port there: expected all of it"):
-        survey.run(survey.plan(path, **CUT, depth_map=tmp_path / "map.npz"), tmp_path / "other.zarr")
+
+
+def test_a_depth_map_holds_all_of_a_strip_and_need_not_hold_more(short, tmp_path):
+    path = tmp_path / "line.npz"
+    pysas.save(path, short)
+    strip = survey.plan(path, **CUT).strips[0]
+    corners = places_of(pysas.Grid.plane(strip.x[[0, -1]], strip.y[[0, -1]], origin=strip.origin, rotation=strip.rotation))
+    for share, holds in ((1.02, True), (0.98, False)):
+        middle = corners.mean(axis=(0, 1))
+        x, y = (middle + share * (corners - middle)).reshape(4, 2).T
+        np.savetxt(tmp_path / "map.txt", np.column_stack([x, y, np.zeros(4)]))  # places of its own: the strip lies askew
+        if holds:
+            found = survey.plan(path, **CUT, depth_map=tmp_path / "map.txt")
+            assert np.array_equal(found.strips[0].x, strip.x) and survey.run(found, tmp_path / "out.zarr").complete
+        else:
+            with pytest.raises(ValueError, match=r"line\.npz: the depth map does not hold all of 000-port"):
+                survey.plan(path, **CUT, depth_map=tmp_path / "map.txt")
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
@@ -188,7 +208,22 @@ def test_any_tiles_that_are_missing_are_made_as_they_were(seed, scene, tmp_path)
     assert tree(store) == whole
 
 
-def test_a_run_without_end_is_the_same_as_its_plan_from_the_store(scene):
+@pytest.mark.cpp
+def test_tiles_of_trees_depend_on_neither_threads_nor_what_is_missing(tmp_path):
+    path, store = tmp_path / "line.zarr", tmp_path / "out.zarr"
+    line(path, pings=40, receivers=32, far=80.0)
+    plan = survey.plan(path, tile=10.0, section=50.0, pixel=(0.02, 0.02), swath=(20.0, 75.0), backend="cpp")
+    survey.run(plan, store, threads=1)
+    strip, whole = SurveyStore(store).strips[0], tree(store)
+    assert sum(strip.record(tile)["report"]["factorised_share"] > 0.2 for tile in range(strip.tiles)) >= 3
+    for missing, threads in ((range(strip.tiles), 3), ((1, 2, 6), 2), ((4,), 1)):
+        for tile in missing:
+            strip.forget(tile)
+        survey.resume(store, threads=threads)
+        assert tree(store) == whole
+
+
+def test_a_store_keeps_its_plan(scene):
     folder, _, plan, _ = scene
     store = SurveyStore(folder / "whole.zarr")
     kept = survey.running.plans_of(store)
@@ -282,12 +317,6 @@ MISTAKES = {
     "nan": (None, {"nan": "zero"}, r"nan='zero'"),
     "side": (None, {"side": "left"}, r"one\.npz: side='left'"),
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    """A short line in memory."""
-    return line(tmp_path_factory.mktemp("short") / "short.npz", pings=100)
 
 
 @pytest.mark.parametrize("case", MISTAKES)

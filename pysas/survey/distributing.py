@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -13,6 +15,7 @@ from pysas.survey.sections import Made, image_section
 
 _WAIT = 1.0  # s between looks at who is there
 _NOBODY = 60.0  # s without a worker, or without the scheduler
+_CANCELLED = asyncio.CancelledError, concurrent.futures.CancelledError
 
 
 @dataclass(frozen=True)
@@ -78,15 +81,20 @@ def _first(distributed: Any, flying: dict[Any, Any]) -> list[Any]:
         return list(distributed.wait(list(flying), timeout=_WAIT, return_when="FIRST_COMPLETED").done)
     except TimeoutError:
         return []
+    except _CANCELLED:
+        return [future for future in flying if future.status == "cancelled"]
 
 
 def _result(distributed: Any, future: Any) -> list[Made] | Lost:
+    gone = ConnectionError("the scheduler is gone, or has forgotten its tasks")
     if future.status in ("cancelled", "lost"):
-        raise ConnectionError("the scheduler is gone, or has forgotten its tasks")
+        raise gone
     try:
         return list(future.result())
     except distributed.KilledWorker as error:
         return Lost(f"its worker died {error.allowed_failures + 1} times")
+    except _CANCELLED:
+        raise gone from None
 
 
 def _workers(client: Any) -> dict[str, Any]:

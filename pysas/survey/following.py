@@ -165,7 +165,6 @@ class _Following:
         tiles = sum(plan.ready for plan in self.plans)
         report = SurveyReport(self.store.path, tiles, before, 0.0, self.made)
         report.seconds = time.perf_counter() - began
-        report.there = before + len(self.made) - len(report.failed)
         return report
 
     def _go_on(self, number: int, echoes: EchoStore) -> None:

@@ -8,9 +8,9 @@ leave the same bytes. Chunks carry their CRC-32C, records the CRC-32 of the shar
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
-import math
 import os
 import secrets
 import zlib
@@ -33,8 +33,8 @@ DONE, DARK, FAILED, DAMAGED = "done", "dark", "failed", "damaged"  # states of a
 
 _RECORDS = "records"
 _ROWS = 128, 1024  # of an inner chunk: at least and at most, of those that divide a tile's
-_MOST_TILE = 2**31  # bytes
-_AXIS = 8192  # entries of a chunk of x, which may grow
+_MOST_TILE, _MOST_TILES = 2**31, 2**24  # bytes, and of a strip
+_AXIS = 4096  # columns in a chunk of x, the same whatever the length, which may grow
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,13 @@ class StripStore:
         Axes of the pixels, m, along and across the line.
     columns, tiles : int
         Of a tile, and how many there are.
+    mended : list of str
+        Headers that were damaged and were written anew.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, mend: bool = False) -> None:
         self.name, self._folder = folder.name, folder
+        self.mended: list[str] = []
         zarr = stores.library()
         with blamed(self.name):
             stores.require_header(folder)
@@ -70,31 +73,35 @@ class StripStore:
             self.attributes = dict(self._group.attrs)
             stores.require_sum(self.attributes)
             del self.attributes["crc32"]
-            self.columns = _checks.whole("columns", self.attributes["columns"])
+            rows = _checks.whole("rows", self.attributes.pop("rows"))
+            self.columns, self.tiles = (_checks.whole(name, self.attributes[name]) for name in ("columns", "tiles"))
+            if not 1 <= rows * self.columns * ARRAYS["data"].itemsize <= _MOST_TILE or not 1 <= self.tiles <= _MOST_TILES:
+                found = f"found {self.tiles} tiles of {rows} x {self.columns} pixels"
+                raise ValueError(f"{found}, expected 1 to {_MOST_TILES} of at most {_MOST_TILE} bytes")
+            self._require_headers(rows, mend)
             self.x, self.y = (self._axis(name) for name in "xy")
-            self.tiles = self.x.size // self.columns
-            self._arrays = {name: self._array(name) for name in ARRAYS}
+            self._arrays = {name: self._group[name] for name in ARRAYS}
+
+    def _require_headers(self, rows: int, mend: bool) -> None:
+        """Arrays are as they were created, by the strip's numbers; those that say otherwise are told so, or written anew."""
+        memory: dict[str, Any] = {}
+        expected = stores.library().create_group(stores.library().storage.MemoryStore(memory), zarr_format=3)
+        _create_arrays(expected, rows, self.tiles, self.columns)
+        for name in ("x", "y", *ARRAYS):
+            with contextlib.suppress(ValueError), blamed(name):
+                stores.require_header(self._folder / name)
+                if self._group[name].metadata.to_dict() == expected[name].metadata.to_dict():
+                    continue
+            if not mend:
+                raise ValueError(f"{name}: zarr.json: missing, or not as it was written: pysas survey --resume mends it")
+            (self._folder / name).mkdir(exist_ok=True)
+            with files.replacing(self._folder / name / "zarr.json") as file:
+                file.write(memory[f"{name}/zarr.json"].to_bytes())
+            self.mended.append(f"{name}/zarr.json")
 
     def _axis(self, name: str) -> FloatArray:
-        stores.require_header(self._folder / name)
-        array = self._group[name]
-        if array.ndim != 1 or array.dtype != np.float64 or not 1 <= array.size <= 2**31:
-            raise ValueError(f"{name}: found {array.dtype} of shape {array.shape}, expected float64 (n,)")
-        return np.asarray(array[...], dtype=np.float64)
-
-    def _array(self, name: str) -> Any:
-        stores.require_header(self._folder / name)
-        array = self._group[name]
-        shape, tile = (self.y.size, self.x.size), (self.y.size, self.columns)
-        found = f"{array.dtype} of shape {array.shape} in shards of {array.shards}"
-        held = (
-            array.ndim == 2 and array.shape[0] == shape[0] and array.shape[1] >= shape[1]
-        )  # a strip that grows is longer first
-        if array.dtype != ARRAYS[name] or not held or array.shards != tile or self.x.size % self.columns:
-            raise ValueError(f"{name}: found {found}, expected {ARRAYS[name]} of shape {shape} in shards of {tile}, the tiles")
-        if math.prod(tile) * array.dtype.itemsize > _MOST_TILE:
-            raise ValueError(f"{name}: found {found}, expected shards of at most {_MOST_TILE} bytes")
-        return array
+        with blamed(name, "damaged"):
+            return np.asarray(self._group[name][...], dtype=np.float64)
 
     def write(self, tile: int, data: npt.NDArray[np.complex64], record: Mapping[str, Any]) -> None:
         """A tile's pixels (row, column), and then its record, which becomes that of a tile that is done."""
@@ -109,22 +116,19 @@ class StripStore:
         """A tile's record alone."""
         folder = self._folder / _RECORDS / str(tile)
         folder.mkdir(exist_ok=True)
-        attributes = {**record, "crc32": stores.sum_of(record)}
-        group = {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
         with files.replacing(folder / "zarr.json") as file:
-            file.write(json.dumps(group, indent=1, sort_keys=True).encode())
+            file.write(_group_of(record))
 
     def record(self, tile: int) -> dict[str, Any] | None:
         """A tile's record; None where it has none or one that is damaged."""
         folder = self._folder / _RECORDS / str(tile)
         try:
             stores.require_header(folder)
-            attributes = dict(json.loads((folder / "zarr.json").read_bytes())["attributes"])
-            stores.require_sum(attributes)
-            if attributes.pop("crc32", None) is None or attributes.get("state") not in (DONE, DARK, FAILED, DAMAGED):
-                return None
-            return attributes
-        except (OSError, ValueError, KeyError, TypeError):
+            content = (folder / "zarr.json").read_bytes()
+            record = {name: value for name, value in json.loads(content)["attributes"].items() if name != "crc32"}
+            known = record.get("state") in (DONE, DARK, FAILED, DAMAGED)
+            return record if known and content == _group_of(record) else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
 
     def has_record(self, tile: int) -> bool:
@@ -185,15 +189,15 @@ class StripStore:
             self._arrays[name].resize((self.y.size, x.size))
         self._group["x"].resize((x.size,))
         self._group["x"][...] = x
-        self.attributes = {**attributes, "columns": self.columns}
-        self._group.update_attributes({**self.attributes, "crc32": stores.sum_of(self.attributes)})
         self.x, self.tiles = x, x.size // self.columns
+        self.attributes = {**attributes, "columns": self.columns, "tiles": self.tiles}
+        self._group.update_attributes(_summed({**self.attributes, "rows": self.y.size}))
 
     def parts(self) -> Iterator[Path]:
         """Files that killed processes left half-written."""
-        for name in (*ARRAYS, "x"):
-            yield from (self._folder / name).glob("*.partial")
-        yield from self._folder.glob("*.partial")
+        for name in ("", "x", "y", *ARRAYS):
+            for pattern in ("*.partial", ".pysas-*"):
+                yield from (self._folder / name).glob(pattern)
         yield from (self._folder / _RECORDS).glob("*/.pysas-*")
 
 
@@ -207,10 +211,12 @@ class SurveyStore:
         Its attributes.
     names : list of str
         Of the strips.
+
+    `mend` writes the headers of their arrays anew where these are damaged.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = files.name(path)
+    def __init__(self, path: str | os.PathLike[str], *, mend: bool = False) -> None:
+        self.path, self._mend = files.name(path), mend
         stores.require(self.path)
         folder = Path(self.path)
         try:
@@ -237,7 +243,7 @@ class SurveyStore:
     def strip(self, number: int) -> StripStore:
         """One of them, opened."""
         try:
-            return StripStore(Path(self.path) / self.names[number])
+            return StripStore(Path(self.path) / self.names[number], mend=self._mend)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{self.path}: {f'{error} missing' if isinstance(error, KeyError) else error}") from error
 
@@ -247,20 +253,32 @@ def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader
     zarr = stores.library()
     root = zarr.create_group(stores.local(folder), zarr_format=3, overwrite=False)
     for strip in strips:
-        attributes = {**strip.attributes, "columns": strip.columns}
-        group = root.create_group(strip.name, attributes={**attributes, "crc32": stores.sum_of(attributes)})
-        for name, axis, many in (("x", strip.x, _AXIS), ("y", strip.y, strip.y.size)):
-            stores.create_array(group, name, (name,), axis, many)
-        for name, dtype in ARRAYS.items():
-            group.create_array(
-                name, shape=(strip.y.size, strip.x.size), dtype=dtype, chunks=(_inner(strip.y.size), strip.columns),
-                shards=(strip.y.size, strip.columns), filters=None, serializer=zarr.codecs.BytesCodec(endian="little"),
-                compressors=[zarr.codecs.Crc32cCodec()], fill_value=0, dimension_names=("y", "x"),
-                chunk_key_encoding={"name": "default", "separator": "."},
-            )  # fmt: skip
+        rows, tiles = strip.y.size, strip.x.size // strip.columns
+        attributes = {**strip.attributes, "columns": strip.columns, "tiles": tiles, "rows": rows}
+        group = root.create_group(strip.name, attributes=_summed(attributes))
+        _create_arrays(group, rows, tiles, strip.columns)
+        group["x"][...], group["y"][...] = strip.x, strip.y
         group.create_group(_RECORDS)
-    attributes = {**header, "schema": SCHEMA, "strips": [strip.name for strip in strips]}
-    root.update_attributes({**attributes, "crc32": stores.sum_of(attributes)})
+    root.update_attributes(_summed({**header, "schema": SCHEMA, "strips": [strip.name for strip in strips]}))
+
+
+def _create_arrays(group: Any, rows: int, tiles: int, columns: int) -> None:
+    for name, size, chunk in (("x", tiles * columns, _AXIS), ("y", rows, rows)):
+        _create(group, name, np.dtype(np.float64), (size,), (chunk,), None, (name,))
+    for name, dtype in ARRAYS.items():
+        _create(group, name, dtype, (rows, tiles * columns), (_inner(rows), columns), (rows, columns), ("y", "x"))
+
+
+def _create(
+    group: Any, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], chunks: tuple[int, ...],
+    shards: tuple[int, ...] | None, axes: tuple[str, ...],
+) -> Any:  # fmt: skip
+    codecs = stores.library().codecs
+    return group.create_array(
+        name, shape=shape, dtype=dtype, chunks=chunks, shards=shards, filters=None,
+        serializer=codecs.BytesCodec(endian="little"), compressors=[codecs.Crc32cCodec()], fill_value=0, dimension_names=axes,
+        chunk_key_encoding={"name": "default", "separator": "."}, config={"write_empty_chunks": True},
+    )  # fmt: skip
 
 
 def _write_shard(path: Path, pixels: npt.NDArray[Any]) -> list[int]:
@@ -299,6 +317,17 @@ def _write_all(file: Any, content: Any) -> None:
     left = memoryview(content)
     while left.nbytes:
         left = left[file.write(left) :]
+
+
+def _group_of(record: Mapping[str, Any]) -> bytes:
+    """The zarr.json of a record."""
+    group = {"attributes": _summed(record), "zarr_format": 3, "node_type": "group"}
+    return json.dumps(group, indent=1, sort_keys=True).encode()
+
+
+def _summed(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes with their checksum."""
+    return {**attributes, "crc32": stores.sum_of(attributes)}
 
 
 def _inner(rows: int) -> int:

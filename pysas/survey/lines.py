@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -193,7 +194,9 @@ def plan(
                     f"{store.path}: not complete: its recorder adds pings, or was ended; the {store.n_ping} there count"
                 )
             for strip in cut.strips(number, store.path, store.navigation):
-                whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
+                with _named(store.path):
+                    whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
+                    whole.require_heights()
                 cost = _cost(whole, store.navigation, count)
                 strips.append(whole)
                 seconds.append(cost[0])
@@ -235,10 +238,8 @@ class Cut:
 
     def strips(self, number: int, path: str, echoes: Echoes) -> list[StripPlan]:
         """Strips of a line, without blocks, by its navigation."""
-        try:
+        with _named(path):
             return self._strips(number, path, echoes)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
 
     def _strips(self, number: int, line: str, echoes: Echoes) -> list[StripPlan]:
         if echoes.beam is None:
@@ -276,6 +277,15 @@ class Cut:
             )  # fmt: skip
             found.append(begin)
         return found
+
+
+@contextlib.contextmanager
+def _named(path: str) -> Iterator[None]:
+    """Errors within it name the line."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _pair(pixel: float | tuple[float, float] | None) -> tuple[float, float] | None:
@@ -360,12 +370,9 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     strip: Strip = plan.strip(threads)
     grid = strip.grid(dear.low, dear.high - dear.low)
     s = plan.settings
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is silent is an error here
-            made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
-    except ValueError as error:
-        raise ValueError(f"{plan.line}: {error}") from error
+    with _named(plan.line), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is silent is an error here
+        made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
     if made.silent:
         raise ValueError(f"{plan.line}: nothing to {plan.side}: {made.silent}")
     tile = plan.y.size * plan.columns * 8

@@ -17,7 +17,7 @@ from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
 from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
-from pysas.survey.sections import Made, close_lines, image_section, made
+from pysas.survey.sections import Made, close_lines, image_section, made, recorded
 from pysas.survey.tiling import StripPlan, navigation_digest
 
 Job = tuple[int, int]  # numbers of a strip and of its section
@@ -35,8 +35,8 @@ class SurveyReport:
         Tiles of this run, failed ones too.
     lost : list of (strip, section, reason)
         What ended with its worker, again and again.
-    before, there, tiles : int
-        Tiles that were there already, that are there now, and all.
+    before, tiles : int
+        Tiles that were there already, and all.
     seconds, predicted : float
         Of this run, and what the plan said of all.
     """
@@ -48,7 +48,11 @@ class SurveyReport:
     made: list[Made] = field(default_factory=list)
     lost: list[tuple[str, int, str]] = field(default_factory=list)
     seconds: float = 0.0
-    there: int = 0
+
+    @property
+    def there(self) -> int:
+        """Tiles that are there now."""
+        return self.before + len(self.made) - len(self.failed)
 
     @property
     def failed(self) -> list[Made]:
@@ -172,23 +176,22 @@ def resume(
     _checks.callback("progress", progress)
     if threads is not None:
         threads = _checks.threads(threads)
-    store = SurveyStore(path)
+    store = SurveyStore(path, mend=True)
     plans = plans_of(store)
     for part in [part for strip in store.strips for part in strip.parts()]:
         part.unlink(missing_ok=True)
-    jobs, before, weights = [], 0, []
-    lacking: dict[Job, list[int]] = {}
+    jobs: dict[Job, list[int]] = {}  # and the tiles that they lack
+    before = 0
     for number, (plan, strip) in enumerate(zip(plans, store.strips, strict=True)):
         for section in range(plan.sections):
-            missing = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
-            before += len(plan.tiles_of(section)) - len(missing)
-            if missing:
-                jobs.append((number, section))
-                lacking[number, section] = missing
-                weights.append(len(missing) * plan.y.size * plan.columns)
+            lacking = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
+            before += len(plan.tiles_of(section)) - len(lacking)
+            if lacking:
+                jobs[number, section] = lacking
+    weights = {job: len(lacking) * plans[job[0]].y.size * plans[job[0]].columns for job, lacking in jobs.items()}
     tiles = sum(plan.ready for plan in plans)
     report = SurveyReport(store.path, tiles, before, float(store.header["predicted"]["seconds"]))
-    began, whole, done = time.perf_counter(), sum(weights) or 1, 0
+    began, whole, done = time.perf_counter(), sum(weights.values()) or 1, 0
 
     def told(share: float, weight: int) -> None:
         if progress is not None:
@@ -196,34 +199,36 @@ def resume(
 
     try:
         results = (
-            _here(store.path, jobs, weights, threads, told)
+            _here(store.path, weights, threads, told)
             if client is None
-            else by_client(client, store.path, jobs, threads, store.header["predicted"]["memory"])
+            else by_client(client, store.path, list(jobs), threads, store.header["predicted"]["memory"])
         )
         for job, found in results:
-            done += weights[jobs.index(job)]
+            done += weights[job]
             told(0.0, 0)
+            plan, strip = plans[job[0]], store.strips[job[0]]
             if isinstance(found, Lost):
-                report.lost.append((plans[job[0]].name, job[1], found.reason))
-            else:
-                report.made += found
+                report.lost.append((plan.name, job[1], found.reason))
+                found = []
+            named = {one.tile for one in found}  # a worker that died told of none of those that it made
+            report.made += found + [
+                recorded(strip, tile) for tile in jobs[job] if tile not in named and made(plan, strip, tile)
+            ]
     except (OSError, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            error.filename = store.path  # zarr's do not say where
         error.add_note(f"pysas survey --resume -o {store.path} goes on from there")
         raise
     finally:
         close_lines()
     report.seconds = time.perf_counter() - began
-    # not what tasks have told: one may have died after it had made some
-    report.there = before + sum(
-        made(plans[number], store.strips[number], tile) for number, section in jobs for tile in lacking[number, section]
-    )
     return report
 
 
 def _here(
-    path: str, jobs: list[Job], weights: list[int], threads: int | None, told: Callable[[float, int], None]
+    path: str, weights: dict[Job, int], threads: int | None, told: Callable[[float, int], None]
 ) -> Iterator[tuple[Job, list[Made] | Lost]]:
-    for job, weight in zip(jobs, weights, strict=True):
+    for job, weight in weights.items():
         yield job, image_section(path, *job, threads, lambda share, weight=weight: told(share, weight))  # type: ignore[misc]
 
 

@@ -71,14 +71,17 @@ class Section:
         """Sum a block; what cannot be read or summed fails the tiles that it lights, among those wanted."""
         block = self.plan.blocks[number]
         low, high = max(block.low, self.first), min(block.high, self.last)
+        echoes = None
         try:
             echoes, samples = read()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # an image's notes have them
                 image = self.blocks.image(self._ready(echoes), low, high)
         except (ValueError, TypeError, ArithmeticError, _checks.InternalError) as error:
+            os.stat(self.plan.line)  # a line that is gone is no fault of its pings
+            reason = _silent(echoes, block.first) if self.plan.settings.nan == "raise" and echoes is not None else ""
             for tile in tiles:
-                self.failed.setdefault(tile, f"pings {block.first} to {block.last - 1}: {error}")
+                self.failed.setdefault(tile, f"pings {block.first} to {block.last - 1}: {reason or error}")
             return
         for tile in tiles:
             if tile not in self.pending:
@@ -134,6 +137,14 @@ class Section:
             self._writer.shutdown()
 
 
+def _silent(echoes: Echoes, first: int) -> str:
+    """Which pings have samples that are no numbers, by their numbers in the line; nothing where none has."""
+    bad = first + np.flatnonzero(~np.isfinite(echoes.data.reshape(echoes.n_ping, -1)).all(axis=1))
+    if not bad.size:
+        return ""
+    return f"samples of ping {', '.join(map(str, bad))} are not finite: expected finite ones, or nan='mask'"
+
+
 def _lasting(report: Report) -> dict[str, Any]:
     """What a report says that does not differ from run to run."""
     values = report.as_dict()
@@ -159,6 +170,13 @@ def made(plan: StripPlan, store: StripStore, tile: int) -> bool:
     if record is None or record.get("recipe") != plan.recipe(tile):
         return False
     return record["state"] == DARK or (record["state"] == DONE and store.whole(tile))
+
+
+def recorded(store: StripStore, tile: int) -> Made:
+    """What became of a tile that is made, by its record."""
+    record = store.record(tile) or {}
+    terms = record.get("report", {}).get("terms", 0)
+    return Made(store.name, tile, record["state"], "", 0.0, terms, store.y.size * store.columns if terms else 0)
 
 
 def image_section(

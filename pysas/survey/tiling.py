@@ -130,33 +130,45 @@ class StripPlan:
         """First column of a section and the one after its last; they do not depend on how long the line becomes."""
         return section * self.section * self.columns, (section + 1) * self.section * self.columns
 
-    def strip(self, threads: int | None) -> Strip:
-        """What sums its blocks. Raises ValueError for a depth map other than the one it was planned with."""
+    def strip(self, threads: int | None, *, reaching: bool = False) -> Strip:
+        """What sums its blocks, or tells what they reach, for which it may ask for heights beyond those of the depth map.
+
+        Raises ValueError for a depth map other than the one it was planned with.
+        """
         s = self.settings
-        z = self.z if self.z is not None else self._heights()
+        z = self.z if self.z is not None else self._heights(reaching)
         return Strip(
             self.y, self.step, self.columns * self.step, origin=self.start, z=z, tol=s.tol, method=s.method, threads=threads,
             backend=s.backend, nan=s.nan, slack=SLACK,
         )  # fmt: skip
 
-    def _heights(self) -> Any:
+    def require_heights(self) -> None:
+        """Raise ValueError where its depth map does not hold all pixels: what it holds is convex, so that corners tell."""
+        if self.depth_map is not None:
+            self._heights(False)(*(axis[[0, axis.size // 2, -1]] for axis in (self.x, self.y)))
+
+    def _heights(self, reaching: bool) -> Any:
         if self.depth_map is None:
             raise _checks.InternalError("neither z nor depth map")
         path, digest = self.depth_map
         x, y, z = depth_maps.load(path)
         if digest_of(x, y, z) != digest:
             raise ValueError(f"{path}: another depth map than the survey was planned with")
-        return lambda along, across: self.over(along, across, (x, y, z))
+        return lambda along, across: self._over(along, across, (x, y, z), reaching)
 
-    def over(self, along: FloatArray, across: FloatArray, heights: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
+    def _over(
+        self, along: FloatArray, across: FloatArray, heights: tuple[FloatArray, FloatArray, FloatArray], reaching: bool
+    ) -> FloatArray:
         """Heights (row, column) of a depth map at places on the strip's axes, all of which it holds."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of pixels beyond it, which are an error here
             found = laid_over(Grid.plane(along, across, 0.0, origin=self.origin, rotation=self.rotation), *heights)
+        height = np.array(found.height, dtype=np.float64)
         if found.mask is not None:
-            share = float(np.mean(found.mask))
-            raise ValueError(f"the depth map holds {100 * share:.3g} % of {self.name} there: expected all of it")
-        return np.asarray(found.height, dtype=np.float64)
+            if not reaching:
+                raise ValueError(f"the depth map does not hold all of {self.name}: expected one that does")
+            height[~found.mask] = np.mean(height[found.mask])  # only the least and the largest matter
+        return height
 
     def laid(self, echoes: Echoes) -> Echoes:
         """Echoes of the line on the strip's axes."""
@@ -215,7 +227,7 @@ class StripPlan:
 
 def begun(plan: StripPlan, navigation: Echoes) -> StripPlan:
     """A strip that starts where the first pings that light it do, in a line of which these are known."""
-    strip = plan.strip(1)
+    strip = plan.strip(1, reaching=True)
     for first, last in _spans(plan, navigation, 0, complete=True):
         low, high = columns_of(reaches_along(plan.laid(navigation[first:last]), strip), strip)
         if high > low:
@@ -241,7 +253,7 @@ def extended(plan: StripPlan, navigation: Echoes, complete: bool) -> StripPlan:
     -----
     O(pings). A block begins no earlier than the tiles that blocks before have completed: what it lights there is left out.
     """
-    strip = plan.strip(1)
+    strip = plan.strip(1, reaching=True)
     blocks = list(plan.blocks)
     begin = blocks[-1].last if blocks else 0
     final = blocks[-1].final if blocks else 0

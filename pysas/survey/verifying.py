@@ -27,7 +27,8 @@ def verify(
 ) -> list[Damage]:
     """Compare every byte of a store with what was written, and the samples that it was made from with what they were.
 
-    Tiles that are damaged are marked so, and `resume` makes them anew; damaged lines must come from a copy.
+    Tiles that are damaged are marked so, and `resume` makes them anew; headers of arrays, which follow from the plan, are
+    written anew at once; damaged lines must come from a copy.
 
     Parameters
     ----------
@@ -45,15 +46,19 @@ def verify(
     Raises
     ------
     ValueError, OSError
-        No such store, or attributes of it that are damaged.
+        No such store, or its plan (attributes of groups, axes) is damaged.
 
     Notes
     -----
     Reads all of it: O(bytes).
     """
     _checks.callback("progress", progress)
-    store = SurveyStore(path)
-    found: list[Damage] = []
+    store = SurveyStore(path, mend=True)
+    found = [
+        Damage(f"{strip.name}, {name}", "missing, or not as it was written: mended")
+        for strip in store.strips
+        for name in strip.mended
+    ]
     plans = [plan_of(store, strip) for strip in store.strips]
     whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
     done = 0

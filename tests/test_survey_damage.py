@@ -1,0 +1,273 @@
+"""Surveys of bad pings and damaged files: tiles fail alone and with a reason, damage is named, and resume mends what it can."""
+
+import json
+import os
+import shutil
+import zlib
+
+import numpy as np
+import pytest
+from survey_scenes import line
+
+import pysas
+from pysas import survey
+from pysas.survey.image_store import SurveyStore
+
+CUT = {"tile": 4.0, "section": 20.0, "pixel": (0.1, 0.1), "swath": (10.0, 30.0)}
+STRIP = "000-port"
+
+
+def tree(folder):
+    """Every file of a store, by its name in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def flip(path, bit):
+    """Change one bit of a file; `bit` < 1 is a share of its length."""
+    content = bytearray(path.read_bytes())
+    bit = int(bit * 8 * len(content)) if bit < 1 else bit
+    content[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(content)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A line, its plan, and the store that an undisturbed run leaves."""
+    folder = tmp_path_factory.mktemp("scene")
+    echoes = line(folder / "line.zarr", int16=True)
+    plan = survey.plan(folder / "line.zarr", **CUT)
+    assert survey.run(plan, folder / "out.zarr").complete
+    return folder, echoes, plan, tree(folder / "out.zarr")
+
+
+@pytest.fixture
+def copies(scene, tmp_path, monkeypatch):
+    """Copies of the line and of its store, which name each other."""
+    folder, _, _, whole = scene
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(  # the plan names the line by its path, which is another for every test
+        "pysas.survey.tiling.StripPlan.of", _named_anew(survey.running.StripPlan.of, str(tmp_path / "line.zarr"))
+    )
+    return tmp_path / "line.zarr", tmp_path / "out.zarr", whole
+
+
+def _named_anew(of, path):
+    return classmethod(lambda cls, attributes, y: of({**attributes, "line": path}, y))
+
+
+def lit_by(plan, first, last):
+    """Tiles that pings first to last - 1 or others of their blocks light."""
+    strip = plan.strips[0]
+    found = set()
+    for block in strip.blocks:
+        if block.first < last and first < block.last:
+            found |= {
+                tile
+                for tile in range(strip.tiles)
+                if block.low < (tile + 1) * strip.columns and block.high > tile * strip.columns
+            }
+    return found
+
+
+# Bad pings
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".zarr"])
+def test_pings_without_a_number_fail_the_tiles_that_they_light(suffix, tmp_path):
+    path, store = tmp_path / f"line{suffix}", tmp_path / "out.zarr"
+    line(path)
+    plan = survey.plan(path, **CUT)
+    survey.run(plan, tmp_path / "whole.zarr")
+    shutil.rmtree(path) if suffix == ".zarr" else path.unlink()
+    line(path, nan=[60, 61, 140])
+    report = survey.run(plan, store)
+    failed = {one.tile: one.reason for one in report.failed}
+    assert failed.keys() == lit_by(plan, 60, 62) | lit_by(plan, 140, 141) and 4 <= len(failed) <= 14
+    assert not report.complete and len(report.made) == report.tiles
+    for tile, reason in failed.items():
+        bad = "60, 61" if tile in lit_by(plan, 60, 62) else "140"
+        assert reason.endswith(f"samples of ping {bad} are not finite: expected finite ones, or nan='mask'")
+        assert SurveyStore(store).strips[0].record(tile)["reason"] == reason
+    assert str(report).count("failed:") == len(set(failed.values())) and f"{20 - len(failed)} of 20 tiles made" in str(report)
+    assert report.as_dict()["failed"] == [{"strip": STRIP, "tile": k, "reason": failed[k]} for k in sorted(failed)]
+    good = tree(store)
+    again = survey.resume(store)  # nothing has changed
+    assert tree(store) == good and {one.tile: one.reason for one in again.failed} == failed and len(again.made) == len(failed)
+    assert survey.verify(store, inputs=False) == []
+    shutil.rmtree(path) if suffix == ".zarr" else path.unlink()
+    line(path)
+    repaired = survey.resume(store)
+    assert repaired.complete and {one.tile for one in repaired.made} == failed.keys()
+    assert tree(store) == tree(tmp_path / "whole.zarr")
+
+
+def test_pings_without_a_number_are_left_out_when_asked(tmp_path):
+    path, store = tmp_path / "line.npz", tmp_path / "out.zarr"
+    echoes = line(path, pings=120, nan=[60, 61])
+    plan = survey.plan(path, **CUT, nan="mask")
+    report = survey.run(plan, store)
+    assert report.complete and report.failed == []
+    strip = SurveyStore(store).strips[0]
+    notes = [" ".join(strip.record(tile)["report"]["notes"]) for tile in range(len(plan.tiles))]
+    assert {tile for tile, note in enumerate(notes) if "12" in note} == lit_by(plan, 60, 62)  # 2 pings of 6 receivers
+    silent = echoes.data.copy()
+    silent[60:62] = 0
+    for tile in sorted(lit_by(plan, 60, 62))[::2]:
+        some = np.random.default_rng(tile).choice(plan.tiles[tile].grid.size, 60, replace=False)
+        exact, level = pysas.reference.exact(echoes.replace(data=silent), plan.tiles[tile].grid, some)
+        error = np.linalg.norm(strip.read(tile, "data").ravel()[some] - exact)
+        assert error <= 1e-2 * max(np.linalg.norm(exact), np.linalg.norm(level))
+
+
+# Damage of a line
+
+
+@pytest.mark.parametrize("damage", ["missing", "a bit", "cut short"])
+def test_damaged_chunks_of_a_line_fail_the_tiles_that_they_light(damage, scene, copies):
+    _, _, plan, whole = scene
+    path, store, _ = copies
+    with pysas.open_echoes(path) as echoes:
+        chunk = int(echoes.stored.split(", ")[1].split()[0])
+    shutil.rmtree(store / STRIP / "records")
+    (store / STRIP / "records").mkdir()
+    (store / STRIP / "records" / "zarr.json").write_bytes(whole[f"{STRIP}/records/zarr.json"])
+    bad = path / "data" / "c.1.0.0.0"
+    content = bad.read_bytes()
+    if damage == "missing":
+        bad.unlink()
+    elif damage == "a bit":
+        flip(bad, 0.4)
+    else:
+        bad.write_bytes(content[:-5])
+    report = survey.resume(store)
+    lit = lit_by(plan, chunk, min(2 * chunk, 240))
+    assert {one.tile for one in report.failed} == lit and 0 < len(lit) < 20
+    assert all(f"data, chunk 1 ({chunk} to {2 * chunk - 1} along axis 0)" in one.reason for one in report.failed)
+    found = survey.verify(store)
+    assert found and all(one.where.startswith(str(path)) and "data, chunk 1" in one.what for one in found)
+    bad.write_bytes(content)
+    assert survey.resume(store).complete and tree(store) == whole and survey.verify(store) == []
+
+
+def test_samples_other_than_tiles_were_made_from_are_named(scene, copies):
+    _, echoes, _, _ = scene
+    path, store, _ = copies
+    shutil.rmtree(path)
+    data = echoes.data.copy()
+    data[100, 3, 200] *= 1.5
+    with pysas.EchoWriter(path, int16=True) as writer:
+        for first in range(0, 240, 48):
+            writer.append(echoes.replace(data=data)[first : first + 48])
+    (found,) = survey.verify(store)
+    assert found.what == "other samples than tiles were made from"
+    first, last = (int(word) for word in found.where.split("pings ")[1].split(" to "))
+    assert first <= 100 <= last and last - first < 20
+
+
+# Damage of a store
+
+
+def shard(store, name, tile):
+    """The file of a tile's pixels."""
+    return store / STRIP / name / f"c.0.{tile}"
+
+
+def record(store, tile):
+    """The file of a tile's record."""
+    return store / STRIP / "records" / str(tile) / "zarr.json"
+
+
+def rewritten(path, **changes):
+    """Another record, with its checksum."""
+    group = json.loads(path.read_bytes())
+    values = {name: value for name, value in (group["attributes"] | changes).items() if name != "crc32"}
+    crc = zlib.crc32(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
+    path.write_text(json.dumps(group | {"attributes": values | {"crc32": crc}}))
+
+
+DAMAGES = {
+    "a bit of data": (lambda store: flip(shard(store, "data", 7), 0.3), "data: damaged"),
+    "the first bit": (lambda store: flip(shard(store, "data", 7), 0), "data: damaged"),
+    "a bit of magnitude": (lambda store: flip(shard(store, "magnitude", 7), 0.7), "magnitude: damaged"),
+    "a bit of a shard's index": (lambda store: flip(shard(store, "magnitude", 7), 1 - 1e-6), "magnitude: damaged"),
+    "a bit of the record": (lambda store: flip(record(store, 7), 0.5), "its record is damaged"),
+    "the record's first bit": (lambda store: flip(record(store, 7), 0), "its record is damaged"),
+    "no shard": (lambda store: shard(store, "data", 7).unlink(), "data: missing"),
+    "a shard cut short": (lambda store: os.truncate(shard(store, "magnitude", 7), 1000), "magnitude: damaged"),
+    "an empty shard": (lambda store: os.truncate(shard(store, "data", 7), 0), "data: damaged"),
+    "an empty record": (lambda store: os.truncate(record(store, 7), 0), "its record is damaged"),
+    "an unknown state": (lambda store: rewritten(record(store, 7), state="half"), "its record is damaged"),
+    "the shard of another tile": (lambda store: shutil.copy(shard(store, "data", 8), shard(store, "data", 7)), "data: damaged"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DAMAGES)
+def test_damage_of_a_tile_is_named_and_mended(case, copies):
+    _, store, whole = copies
+    damage, what = DAMAGES[case]
+    damage(store)
+    strip = SurveyStore(store).strips[0]
+    with pytest.raises(ValueError, match="000-port, tile 7: "):
+        strip.read(7, what.split(":")[0] if what.startswith(("data", "magnitude")) else "data")
+    (found,) = survey.verify(store)
+    assert found.where == "000-port, tile 7" and found.what.startswith(what)
+    again = survey.verify(store)
+    assert [one.where for one in again] == ([] if "record" in what else ["000-port, tile 7"])
+    report = survey.resume(store)
+    assert [one.tile for one in report.made] == [7] and report.before == 19 and report.complete
+    assert tree(store) == whole and survey.verify(store) == []
+
+
+def test_any_bit_of_a_record_counts(copies):
+    _, store, whole = copies
+    path = record(store, 3)
+    content = path.read_bytes()
+    unnoticed = []
+    strip = SurveyStore(store).strips[0]
+    good = strip.record(3)
+    for bit in range(0, 8 * len(content), 7):
+        flip(path, bit) if bit else flip(path, 0)
+        if (found := strip.record(3)) is not None:
+            unnoticed.append(bit)
+            assert found == good  # blanks between the words
+        path.write_bytes(content)
+    assert len(unnoticed) < 0.01 * len(content)
+
+
+@pytest.mark.parametrize("name", ["data", "magnitude", "x", "y"])
+def test_damage_of_what_arrays_say_of_themselves_is_mended(name, copies):
+    _, store, whole = copies
+    path = store / STRIP / name / "zarr.json"
+    content = path.read_bytes()
+    rng = np.random.default_rng(5)
+    bits = [8 * content.index(b'"."') + 8, *rng.choice(8 * len(content), 25, replace=False)]  # c/0/7 is no shard: all dark
+    for bit in bits:
+        flip(path, int(bit))
+        damaged = path.read_bytes()
+        try:
+            strip = SurveyStore(store).strips[0]
+            assert strip.read(7).any() and strip.x.size == 800  # blanks between the words
+        except ValueError as error:
+            assert f"out.zarr: {STRIP}: {name}: " in str(error)
+            (found,) = survey.verify(store, inputs=False)
+            assert found.where == f"{STRIP}, {name}/zarr.json" and path.read_bytes() != damaged
+        path.write_bytes(damaged)
+        report = survey.resume(store)
+        assert report.complete and report.made == []
+        path.write_bytes(content)
+    path.unlink()
+    assert survey.resume(store).complete and tree(store) == whole
+
+
+@pytest.mark.parametrize("name", ["zarr.json", f"{STRIP}/zarr.json", f"{STRIP}/y/c.0", f"{STRIP}/x/c.0"])
+def test_damage_of_the_plan_is_named(name, copies):
+    _, store, whole = copies
+    flip(store / name, 0.45)
+    damaged = tree(store)
+    for doing in (survey.verify, survey.resume):
+        with pytest.raises(ValueError, match=r"out\.zarr") as caught:
+            doing(store)
+        assert "\n" not in str(caught.value)
+        if name != "zarr.json":
+            assert STRIP in str(caught.value)
+    assert tree(store) == damaged
