@@ -312,10 +312,10 @@ MISTAKES = {
     "pixel": (None, {"pixel": (0.1, 0.1, 0.1)}, r"pixel=\(0\.1, 0\.1, 0\.1\): expected one spacing or two"),
     "z and altitude": (None, {"z": 0.0, "altitude": 3.0}, r"z, altitude, depth_map: expected one of them"),
     "below the record": (None, {"altitude": 60.0}, r"one\.npz: z=-49\.993: 60 m from the track, beyond the record"),
-    "tile": (None, {"tile": 0.0}, r"one\.npz: tile=0\.0"),
+    "tile": (None, {"tile": 0.0}, r"tile=0\.0"),
     "method": (None, {"method": "chirp scaling"}, r"method='chirp scaling'"),
     "nan": (None, {"nan": "zero"}, r"nan='zero'"),
-    "side": (None, {"side": "left"}, r"one\.npz: side='left'"),
+    "side": (None, {"side": "left"}, r"side='left'"),
 }  # fmt: skip
 
 
