@@ -2,8 +2,9 @@
 
 The reference survey of `bench.survey` (32 receivers, 150 m of swath, pixels of 2.5 cm) as a store of echoes on disk. Three ways
 through the same strip take turns: `pysas.Strip` from pings in memory, whose images are dropped (the engine alone);
-`pysas.survey.run` from the store into a store, in this process; and the same by two worker processes of one thread each. Ratios
-are of medians. Tiles and blocks are of 20 m in all of them. With --long M a line of so many metres is written and imaged once
+`pysas.survey.run` from the store into a store, in this process; and the same by two worker processes of one thread each. The
+line is imaged twice in a run, as two strips, so that both workers have something to do. Ratios are of medians. Tiles and blocks
+are of 20 m in all of them. With --long M a line of so many metres is written and imaged once
 more by a process of its own, whose peak memory is told.
 """
 
@@ -40,14 +41,14 @@ def engine_alone(path, tol, threads):
     y = NEAR + PIXEL * np.arange(round(SWATH / PIXEL))
     strip = pysas.Strip(y, PIXEL, TILE, tol=tol, threads=threads)
     clock = time.perf_counter()
-    pixels = sum(image.data.size for image in strip.stream(pings))
+    pixels = sum(image.data.size for _ in range(2) for image in strip.stream(pings))
     return time.perf_counter() - clock, pixels
 
 
-def through_stores(path, folder, tol, threads, client=None):
+def through_stores(path, folder, tol, threads, client=None, times=2):
     """Seconds of `pysas.survey.run`, its plan included."""
     clock = time.perf_counter()
-    plan = pysas.survey.plan(path, tol=tol, threads=threads, **OPTIONS)
+    plan = pysas.survey.plan([path] * times, tol=tol, threads=threads, **OPTIONS)
     report = pysas.survey.run(plan, f"{folder}/images.zarr", client=client, threads=threads, overwrite=True)
     seconds = time.perf_counter() - clock
     assert report.complete
@@ -58,7 +59,7 @@ def cluster(count):
     import distributed
 
     return distributed.LocalCluster(
-        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1", memory_limit=0
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1", memory_limit=0
     )
 
 
@@ -85,7 +86,7 @@ def compare(folder, receivers, length, tol, rounds):
         seconds = float(np.median([run[0] for run in runs]))
         rates[way] = runs[0][1] / seconds
         ratios = [f"{rates[way] / rates[other]:.2f}" for other in list(found)[:2] if other in rates]
-        print(f"| {way} | {seconds:.2f} | {rates[way]:.3g} | {covered / seconds:.1f} | {' | '.join(ratios)} |", flush=True)
+        print(f"| {way} | {seconds:.2f} | {rates[way]:.3g} | {2 * covered / seconds:.1f} | {' | '.join(ratios)} |", flush=True)
 
 
 def long_line(folder, receivers, length, tol):
@@ -94,7 +95,7 @@ def long_line(folder, receivers, length, tol):
     size = write_line(path, receivers, length, int16=True)
     code = (
         "import bench.scale, resource; "
-        f"s, n, m = bench.scale.through_stores({path!r}, {folder!r}, {tol!r}, 2); "
+        f"s, n, m = bench.scale.through_stores({path!r}, {folder!r}, {tol!r}, 2, times=1); "
         "print(s, n, m, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -119,9 +119,8 @@ def _first(cut: Cut, line: str, waiting: _Waiting) -> list[StripPlan]:
     """Strips of a line of which enough is there to lay axes along it."""
     while True:
         if not waiting.more(waiting.pings):
-            raise ValueError(
-                f"{line}: {waiting.pings} pings in {spoken(waiting.patience or 0.0)}: too few to lay axes along them"
-            )
+            found = f"{waiting.pings} pings, and no more for {spoken(waiting.patience or 0.0)}"
+            raise ValueError(f"{line}: {found}: expected {AXES:g} m of track, to lay axes along")
         with open_echoes(line) as store:
             navigation = store.navigation
             away = np.linalg.norm(navigation.tx[:, :2] - navigation.tx[0, :2], axis=1)

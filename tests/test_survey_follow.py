@@ -1,0 +1,141 @@
+"""Lines that grow while they are imaged: the same tiles whenever one looks, and whatever ends the follower."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from survey_scenes import line
+
+import pysas
+from pysas import cli, survey
+from pysas.survey.image_store import SurveyStore
+from pysas.survey.tiling import StripPlan
+
+CUT = {"tile": 5.0, "section": 20.0, "pixel": 0.1, "swath": (10.0, 30.0), "z": 0.0}
+PINGS = 500  # 150 m: axes are laid along the first 100
+PATIENCE = 60.0  # s
+
+
+def tree(folder):
+    """Every file of a store, by its name in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(Path(folder).rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def echoes(tmp_path_factory):
+    return line(tmp_path_factory.mktemp("line") / "line.zarr", pings=PINGS)
+
+
+def record(echoes, path, step, delay=0.0):
+    """Write a line as a recorder does, so many pings at a time."""
+    with pysas.EchoWriter(path) as writer:
+        for first in range(0, echoes.n_ping, step):
+            writer.append(echoes[first : first + step])
+            time.sleep(delay)
+
+
+@pytest.fixture(scope="module")
+def followed(echoes, tmp_path_factory):
+    """The store of a follower that came when all pings were there."""
+    folder = tmp_path_factory.mktemp("followed")
+    record(echoes, folder / "line.zarr", 100)
+    report = survey.follow(folder / "line.zarr", folder / "images.zarr", **CUT)
+    assert report.complete and not report.failed and report.tiles == len(report.made)
+    return folder
+
+
+@pytest.mark.parametrize(("step", "delay"), [(7, 0.01), (90, 0.1)])
+def test_tiles_are_the_same_however_the_line_grew(echoes, followed, tmp_path, monkeypatch, step, delay):
+    monkeypatch.chdir(tmp_path)
+    recorder = threading.Thread(target=record, args=(echoes, "line.zarr", step, delay))
+    told = []
+    recorder.start()  # a line that is not there yet is waited for
+    report = survey.follow("line.zarr", "images.zarr", poll=0.02, patience=PATIENCE, progress=told.append, **CUT)
+    recorder.join()
+    assert report.complete and told == sorted(set(told)) and told[-1] == report.tiles
+    mine, other = tree("images.zarr"), tree(followed / "images.zarr")
+    assert mine.keys() == other.keys()
+    apart = {name for name in mine if mine[name] != other[name]}
+    assert apart == {"000-port/zarr.json"}  # which names the line
+    stored, expected = (SurveyStore(folder / "images.zarr").strips[0].attributes for folder in (tmp_path, followed))
+    assert stored | {"line": ""} == expected | {"line": ""}
+    assert survey.verify("images.zarr") == [] and survey.resume("images.zarr").made == []
+
+
+def test_tiles_are_made_before_the_line_ends(echoes, tmp_path):
+    with pysas.EchoWriter(tmp_path / "line.zarr") as writer:
+        writer.append(echoes[:400])
+        report = survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", poll=0.02, patience=0.1, **CUT)
+        first = len(report.made)
+        # 120 m, of which a footprint of 2 x 30 m tan(6 degrees), a metre and the tile that these cross are not final
+        assert 120 / 5 - 4 <= first <= 120 / 5 and report.complete
+        assert len(survey.resume(tmp_path / "images.zarr").made) == 0  # what a ping to come may light is not made
+        writer.append(echoes[400:])
+    report = survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", again=True)
+    assert report.before == first and report.complete and report.tiles == first + len(report.made)
+
+
+def test_tiles_keep_tol_and_are_those_of_a_survey(echoes, followed):
+    """Axes differ by what the first 100 m of sway turn them; the tiles' pixels are compared with the exact sum."""
+    store = SurveyStore(followed / "images.zarr")
+    plan = survey.plan(followed / "line.zarr", **CUT)
+    (strip,) = store.strips
+    assert strip.tiles == plan.strips[0].tiles
+    assert abs(strip.attributes["rotation"] - plan.strips[0].rotation) < 2e-3
+    grid = StripPlan.of(strip.attributes, strip.y).grid(12)
+    some = np.random.default_rng(0).choice(grid.size, 100, replace=False)
+    exact, level = pysas.reference.exact(echoes, grid, some)
+    found = strip.read(12, "data").ravel()[some]
+    assert np.linalg.norm(found - exact) <= 1e-2 * max(np.linalg.norm(exact), np.linalg.norm(level))
+
+
+def test_a_killed_follower_goes_on_to_the_same_bytes(echoes, followed, tmp_path):
+    command = [
+        sys.executable, "-m", "pysas", "survey", "line.zarr", "-o", "images.zarr", "--tile", "5", "--section", "20", "--pixel",
+        "0.1", "--swath", "10:30", "--z", "0", "--follow",
+    ]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path, start_new_session=True)
+    try:
+        with pysas.EchoWriter(tmp_path / "line.zarr") as writer:
+            writer.append(echoes[:420])
+            end = time.monotonic() + PATIENCE
+            while len(list(tmp_path.glob("images.zarr/*/records/*/zarr.json"))) < 6:
+                assert time.monotonic() < end and process.poll() is None
+                time.sleep(0.005)
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            writer.append(echoes[420:])
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    done = subprocess.run(
+        [*command[:7], "--follow", "--resume", "--json"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    report = json.loads(done.stdout)
+    assert report["complete"] and report["before"] >= 6
+    mine, other = tree(tmp_path / "images.zarr"), tree(followed / "images.zarr")
+    assert {name for name in mine.keys() | other.keys() if mine.get(name) != other.get(name)} == {"000-port/zarr.json"}
+
+
+def test_what_cannot_be_followed_is_named(echoes, tmp_path, capsys):
+    with pytest.raises(ValueError, match=r"line\.npz: expected a store"):
+        survey.follow(tmp_path / "line.npz", tmp_path / "images.zarr", **CUT)
+    with pytest.raises(ValueError, match=r"none\.zarr: 0 pings, and no more for 0\.05 s: expected 100 m of track"):
+        survey.follow(tmp_path / "none.zarr", tmp_path / "images.zarr", poll=0.01, patience=0.05, **CUT)
+    with pytest.raises(TypeError, match="tile: expected none with again"):
+        survey.follow(tmp_path / "none.zarr", tmp_path / "images.zarr", again=True, tile=1.0)
+    with pytest.raises(TypeError, match="wrong"):
+        survey.follow(tmp_path / "none.zarr", tmp_path / "images.zarr", wrong=1.0)
+    with pytest.raises(ValueError, match="poll=0"):
+        survey.follow(tmp_path / "none.zarr", tmp_path / "images.zarr", poll=0.0)
+    assert not (tmp_path / "images.zarr").exists()
+    assert cli.main(["survey", "a.zarr", "b.zarr", "-o", str(tmp_path / "images.zarr"), "--follow"]) == 2
+    assert "one LINE" in capsys.readouterr().err
