@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -158,7 +159,7 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     header = {
         "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
     }  # fmt: skip
-    with stores.replacing(text, overwrite=overwrite) as folder:
+    with _placed(text), stores.replacing(text, overwrite=overwrite) as folder:
         create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
     return text
 
@@ -198,31 +199,41 @@ def resume(
             progress((done + share * weight) / whole)
 
     try:
-        results = (
-            _here(store.path, weights, threads, told)
-            if client is None
-            else by_client(client, store.path, list(jobs), threads, store.header["predicted"]["memory"])
-        )
-        for job, found in results:
-            done += weights[job]
-            told(0.0, 0)
-            plan, strip = plans[job[0]], store.strips[job[0]]
-            if isinstance(found, Lost):
-                report.lost.append((plan.name, job[1], found.reason))
-                found = []
-            named = {one.tile for one in found}  # a worker that died told of none of those that it made
-            report.made += found + [
-                recorded(strip, tile) for tile in jobs[job] if tile not in named and made(plan, strip, tile)
-            ]
+        with _placed(store.path):
+            results = (
+                _here(store.path, weights, threads, told)
+                if client is None
+                else by_client(client, store.path, list(jobs), threads, store.header["predicted"]["memory"])
+            )
+            for job, found in results:
+                done += weights[job]
+                told(0.0, 0)
+                plan, strip = plans[job[0]], store.strips[job[0]]
+                if isinstance(found, Lost):
+                    report.lost.append((plan.name, job[1], found.reason))
+                    found = []
+                named = {one.tile for one in found}  # a worker that died told of none of those that it made
+                report.made += found + [
+                    recorded(strip, tile) for tile in jobs[job] if tile not in named and made(plan, strip, tile)
+                ]
     except (OSError, MemoryError) as error:
-        if isinstance(error, OSError) and error.errno and error.filename is None:
-            error.filename = store.path  # zarr's do not say where
         error.add_note(f"pysas survey --resume -o {store.path} goes on from there")
         raise
     finally:
         close_lines()
     report.seconds = time.perf_counter() - began
     return report
+
+
+@contextlib.contextmanager
+def _placed(path: str) -> Iterator[None]:
+    """Errors of the file system name the store where they name nothing, as those of writing do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno and error.filename is None and not isinstance(error, ConnectionError):
+            error.filename = path
+        raise
 
 
 def _here(

@@ -142,7 +142,8 @@ def _silent(echoes: Echoes, first: int) -> str:
     bad = first + np.flatnonzero(~np.isfinite(echoes.data.reshape(echoes.n_ping, -1)).all(axis=1))
     if not bad.size:
         return ""
-    return f"samples of ping {', '.join(map(str, bad))} are not finite: expected finite ones, or nan='mask'"
+    which = ", ".join(map(str, bad)) if bad.size < 5 else f"{bad[0]} and {bad.size - 1} more"
+    return f"samples of ping {which} are not finite: expected finite ones, or nan='mask'"
 
 
 def _lasting(report: Report) -> dict[str, Any]:
