@@ -211,7 +211,7 @@ def scheduler(processes, scene, store, rng):
     begun(store, rng, client)
     processes.kill(victim)
     code, _, err = processes.ended(client)
-    assert code == 1 and err.startswith(GONE)
+    assert code == 1 and err.startswith(GONE), err
     if rng.random() < 0.5:
         assert survey.resume(store, threads=1).complete
         return
@@ -256,7 +256,7 @@ def test_deaths_of_client_worker_and_scheduler_leave_no_trace(scene, processes, 
     begun(stores[1], rng, last, 25)
     processes.kill(first)
     code, _, err = processes.ended(last)
-    assert code == 1 and err.startswith(GONE)
+    assert code == 1 and err.startswith(GONE), err
     assert survey.resume(stores[1], threads=1).complete and same(stores[1], whole)
 
 

@@ -93,7 +93,7 @@ def _result(distributed: Any, future: Any) -> list[Made] | Lost:
         return list(future.result())
     except distributed.KilledWorker as error:
         return Lost(f"its worker died {error.allowed_failures + 1} times")
-    except _CANCELLED:
+    except (*_CANCELLED, distributed.comm.CommClosedError):  # it died after the task, before its result was here
         raise gone from None
 
 
