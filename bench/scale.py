@@ -4,8 +4,8 @@ The reference survey of `bench.survey` (32 receivers, 150 m of swath, pixels of 
 through the same strip take turns: `pysas.Strip` from pings in memory, whose images are dropped (the engine alone);
 `pysas.survey.run` from the store into a store, in this process; and the same by two worker processes of one thread each. The
 line is imaged twice in a run, as two strips, so that both workers have something to do. Ratios are of medians. Tiles and blocks
-are of 20 m in all of them. With --long M a line of so many metres is written and imaged once
-more by a process of its own, whose peak memory is told.
+are of 20 m in all of them. With --long M a line of so many metres, whose noise repeats itself, is written and imaged by a
+process of its own in pixels of 5 cm, and the peak of its memory is told.
 """
 
 import argparse
@@ -20,16 +20,20 @@ from pathlib import Path
 import numpy as np
 
 import pysas
-from bench.survey import NEAR, PIXEL, SWATH, Recorder, pings_for
+from bench.survey import NEAR, PIXEL, SWATH, pings_for, recorded
 
 TILE = 20.0
-OPTIONS = {"pixel": PIXEL, "swath": (NEAR, NEAR + SWATH - PIXEL), "z": 0.0, "side": "port", "tile": TILE}
+OPTIONS = {"swath": (NEAR, NEAR + SWATH - PIXEL), "z": 0.0, "side": "port", "tile": TILE}
 
 
-def write_line(path, receivers, length, int16):
+def write_line(path, receivers, length, repeating=False):
     """A line of echoes of so many metres; returns its bytes."""
-    with pysas.EchoWriter(path, int16=int16) as writer:
-        for echoes in Recorder(receivers, length, count=16):
+    pings, noise = pings_for(receivers, length)[0], None
+    with pysas.EchoWriter(path, int16=True) as writer:
+        for first in range(0, pings, 16):
+            some = slice(first, min(first + 16, pings))
+            echoes = recorded(receivers, pings, some) if noise is None else recorded(receivers, pings, some, data=noise)
+            noise = echoes.data if repeating else None
             writer.append(echoes)
     return sum(file.stat().st_size for file in Path(path).rglob("*") if file.is_file())
 
@@ -45,10 +49,10 @@ def engine_alone(path, tol, threads):
     return time.perf_counter() - clock, pixels
 
 
-def through_stores(path, folder, tol, threads, client=None, times=2):
+def through_stores(path, folder, tol, threads, client=None, times=2, pixel=PIXEL):
     """Seconds of `pysas.survey.run`, its plan included."""
     clock = time.perf_counter()
-    plan = pysas.survey.plan([path] * times, tol=tol, threads=threads, **OPTIONS)
+    plan = pysas.survey.plan([path] * times, tol=tol, threads=threads, pixel=pixel, **OPTIONS)
     report = pysas.survey.run(plan, f"{folder}/images.zarr", client=client, threads=threads, overwrite=True)
     seconds = time.perf_counter() - clock
     assert report.complete
@@ -68,7 +72,7 @@ def compare(folder, receivers, length, tol, rounds):
     import distributed
 
     path = f"{folder}/line.zarr"
-    size = write_line(path, receivers, length, int16=True)
+    size = write_line(path, receivers, length)
     covered = pings_for(receivers, length)[1]
     print(
         f"{receivers} receivers, {length:g} m, {size / 1e9:.2f} GB of echoes in int16, tol {tol:g}; {os.cpu_count()} processors"
@@ -92,10 +96,10 @@ def compare(folder, receivers, length, tol, rounds):
 def long_line(folder, receivers, length, tol):
     """Peak memory of a process that images a long line."""
     path = f"{folder}/long.zarr"
-    size = write_line(path, receivers, length, int16=True)
+    size = write_line(path, receivers, length, repeating=True)
     code = (
         "import bench.scale, resource; "
-        f"s, n, m = bench.scale.through_stores({path!r}, {folder!r}, {tol!r}, 2, times=1); "
+        f"s, n, m = bench.scale.through_stores({path!r}, {folder!r}, {tol!r}, 2, times=1, pixel=0.05); "
         "print(s, n, m, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

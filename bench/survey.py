@@ -46,20 +46,26 @@ def pings_for(receivers, length):
     return int(np.ceil((length + 2 * REACH) / advance)), length / (advance * RATE)
 
 
-def recorded(receivers, pings, some, taper=0.5, shape="fan", seed=0):
-    """Pings number `some`, a slice, of a track of so many: the same whichever are asked for."""
+def recorded(receivers, pings, some, taper=0.5, shape="fan", seed=0, data=None):
+    """Pings number `some`, a slice, of a track of so many: the same whichever are asked for, or with given samples."""
     tx, rx, velocity, look, axis = (part[some] for part in track(receivers, pings, -REACH))
+    beam = pysas.Beam(look, ELEMENT, HALF_ANGLE, shape, taper, axis if shape == "fan" else None)
+    samples = noise(receivers, range(pings)[some], seed) if data is None else data[: len(tx)]
+    return pysas.Echoes(
+        samples, fs=FS, fc=FC, tx=tx, rx=rx, c=C, t0=2 * NEAR / C, velocity=velocity, bandwidth=BAND, beam=beam
+    )  # fmt: skip
+
+
+def noise(receivers, numbers, seed):
+    """Samples (ping, receiver, sample) of these pings."""
     samples = int(2 * (FAR / np.cos(HALF_ANGLE) - NEAR) / C * FS) + 300
     keep = (np.abs(np.fft.fftfreq(samples)) <= BAND / 2 / FS).astype(np.float32)
-    data = np.empty((len(tx), receivers, samples), dtype=np.complex64)
-    for ping, number in zip(data, range(pings)[some], strict=True):
+    data = np.empty((len(numbers), receivers, samples), dtype=np.complex64)
+    for ping, number in zip(data, numbers, strict=True):
         rng = np.random.default_rng([seed, number])
-        noise = rng.standard_normal((receivers, 2 * samples), dtype=np.float32).view(np.complex64)
-        ping[:] = np.fft.ifft(np.fft.fft(noise) * keep)
-    beam = pysas.Beam(look, ELEMENT, HALF_ANGLE, shape, taper, axis if shape == "fan" else None)
-    return pysas.Echoes(
-        data, fs=FS, fc=FC, tx=tx, rx=rx, c=C, t0=2 * NEAR / C, velocity=velocity, bandwidth=BAND, beam=beam
-    )  # fmt: skip
+        white = rng.standard_normal((receivers, 2 * samples), dtype=np.float32).view(np.complex64)
+        ping[:] = np.fft.ifft(np.fft.fft(white) * keep)
+    return data
 
 
 def survey(receivers, length, taper=0.5, shape="fan", seed=0):
