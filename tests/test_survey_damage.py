@@ -7,11 +7,12 @@ import zlib
 
 import numpy as np
 import pytest
+import zarr
 from survey_scenes import line
 
 import pysas
 from pysas import survey
-from pysas.survey.image_store import SurveyStore
+from pysas.survey.image_store import StripHeader, SurveyStore, create
 
 CUT = {"tile": 4.0, "section": 20.0, "pixel": (0.1, 0.1), "swath": (10.0, 30.0)}
 STRIP = "000-port"
@@ -234,27 +235,24 @@ def test_any_bit_of_a_record_counts(copies):
     assert len(unnoticed) < 0.01 * len(content)
 
 
-@pytest.mark.parametrize("name", ["data", "magnitude", "x", "y"])
+@pytest.mark.parametrize("name", ["data", "magnitude", "x", "y", "records"])
 def test_damage_of_what_arrays_say_of_themselves_is_mended(name, copies):
     _, store, whole = copies
     path = store / STRIP / name / "zarr.json"
     content = path.read_bytes()
     rng = np.random.default_rng(5)
-    bits = [8 * content.index(b'"."') + 8, *rng.choice(8 * len(content), 25, replace=False)]  # c/0/7 is no shard: all dark
+    dot = max(content.find(b'"."'), 0)  # c/0/7 is no shard: all dark
+    bits = [8 * dot + 8, *rng.choice(8 * len(content), 25, replace=False)]
     for bit in bits:
         flip(path, int(bit))
         damaged = path.read_bytes()
-        try:
-            strip = SurveyStore(store).strips[0]
-            assert strip.read(7).any() and strip.x.size == 800  # blanks between the words
-        except ValueError as error:
-            assert f"out.zarr: {STRIP}: {name}: " in str(error)
-            (found,) = survey.verify(store, inputs=False)
-            assert found.where == f"{STRIP}, {name}/zarr.json" and path.read_bytes() != damaged
+        with pytest.raises(ValueError, match=rf"out\.zarr: {STRIP}: {name}: zarr\.json: missing, or not as it was written"):
+            SurveyStore(store)
+        (found,) = survey.verify(store, inputs=False)
+        assert found.where == f"{STRIP}/{name}/zarr.json" and path.read_bytes() == content
         path.write_bytes(damaged)
         report = survey.resume(store)
-        assert report.complete and report.made == []
-        path.write_bytes(content)
+        assert report.complete and report.made == [] and path.read_bytes() == content
     path.unlink()
     assert survey.resume(store).complete and tree(store) == whole
 
@@ -271,3 +269,50 @@ def test_damage_of_the_plan_is_named(name, copies):
         if name != "zarr.json":
             assert STRIP in str(caught.value)
     assert tree(store) == damaged
+
+
+def test_no_bit_that_flips_goes_unnoticed(copies):
+    _, store, whole = copies
+    rng = np.random.default_rng(3)
+    names = sorted(whole)
+    plan = [name for name in names if name.endswith("zarr.json") and name.count("/") < 3]
+    for turn in range(40):
+        name = rng.choice(plan if turn % 2 else names)
+        flip(store / name, int(rng.integers(8 * len(whole[name]))))
+        try:
+            assert len(survey.verify(store, inputs=False)) == 1, name
+            assert survey.resume(store).complete and tree(store) == whole, name
+        except ValueError as error:  # the plan itself, which nothing tells again
+            assert name in ("zarr.json", f"{STRIP}/zarr.json", f"{STRIP}/x/c.0", f"{STRIP}/y/c.0"), name
+            assert "out.zarr" in str(error)
+            (store / name).write_bytes(whole[name])
+
+
+def test_another_store_is_left_as_it_is(tmp_path):
+    store = tmp_path / "other.zarr"
+    zarr.open_group(str(store), mode="w", zarr_format=3, attributes={"schema": "weather"})
+    header = json.loads((store / "zarr.json").read_bytes()) | {"must_understand": False}
+    (store / "zarr.json").write_text(json.dumps(header))
+    before = tree(store)
+    for doing in (survey.verify, survey.resume):
+        with pytest.raises(ValueError, match=r"other\.zarr: schema: found 'weather', expected 'pysas-survey-1'"):
+            doing(store)
+    assert tree(store) == before
+
+
+def test_a_store_that_grew_is_the_one_that_was_created_so(scene, tmp_path, monkeypatch):
+    strip = scene[2].strips[0]
+    for name, tiles in (("grown", 7), ("killed", 7), ("whole", 20)):
+        short = StripHeader(STRIP, {"tiles": tiles, "more": tiles}, strip.x[: tiles * 40], strip.y, 40)
+        create(tmp_path / f"{name}.zarr", {"version": "1"}, [short])
+    before = tree(tmp_path / "killed.zarr")
+    SurveyStore(tmp_path / "grown.zarr").strips[0].grow(strip.x, {"tiles": 20, "more": 20})
+    assert tree(tmp_path / "grown.zarr") == tree(tmp_path / "whole.zarr")
+    killed = SurveyStore(tmp_path / "killed.zarr").strips[0]
+    monkeypatch.setattr(killed, "_put_attributes", lambda rows: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        killed.grow(strip.x, {"tiles": 20, "more": 20})
+    assert SurveyStore(tmp_path / "killed.zarr", mend=True).strips[0].tiles == 7
+    found = tree(tmp_path / "killed.zarr")
+    assert {name for name in found if found[name] != before.get(name)} <= {f"{STRIP}/x/c.0"}  # places of columns to come
+    assert np.array_equal(SurveyStore(tmp_path / "killed.zarr").strips[0].x, strip.x[:280])

@@ -8,7 +8,6 @@ leave the same bytes. Chunks carry their CRC-32C, records the CRC-32 of the shar
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
@@ -32,6 +31,7 @@ ARRAYS = {"data": np.dtype(np.complex64), "magnitude": np.dtype(np.float32)}
 DONE, DARK, FAILED, DAMAGED = "done", "dark", "failed", "damaged"  # states of a tile that has a record; dark: no ping lights it
 
 _RECORDS = "records"
+_HEADERS = ("x", "y", *ARRAYS, _RECORDS)  # in a strip
 _ROWS = 128, 1024  # of an inner chunk: at least and at most, of those that divide a tile's
 _MOST_TILE, _MOST_TILES = 2**31, 2**24  # bytes, and of a strip
 _AXIS = 4096  # columns in a chunk of x, the same whatever the length, which may grow
@@ -68,36 +68,39 @@ class StripStore:
         self.mended: list[str] = []
         zarr = stores.library()
         with blamed(self.name):
-            stores.require_header(folder)
-            self._group = zarr.open_group(stores.local(folder), mode="r+", zarr_format=3, use_consolidated=False)
-            self.attributes = dict(self._group.attrs)
-            stores.require_sum(self.attributes)
-            del self.attributes["crc32"]
+            self.attributes = _attributes_of(folder, self.mended if mend else None)
+            self._sums = dict(self.attributes.pop("headers"))
             rows = _checks.whole("rows", self.attributes.pop("rows"))
             self.columns, self.tiles = (_checks.whole(name, self.attributes[name]) for name in ("columns", "tiles"))
             if not 1 <= rows * self.columns * ARRAYS["data"].itemsize <= _MOST_TILE or not 1 <= self.tiles <= _MOST_TILES:
                 found = f"found {self.tiles} tiles of {rows} x {self.columns} pixels"
                 raise ValueError(f"{found}, expected 1 to {_MOST_TILES} of at most {_MOST_TILE} bytes")
             self._require_headers(rows, mend)
+            self._group = zarr.open_group(stores.local(folder), mode="r+", zarr_format=3, use_consolidated=False)
             self.x, self.y = (self._axis(name) for name in "xy")
             self._arrays = {name: self._group[name] for name in ARRAYS}
 
     def _require_headers(self, rows: int, mend: bool) -> None:
-        """Arrays are as they were created, by the strip's numbers; those that say otherwise are told so, or written anew."""
+        """Arrays say of themselves what they did; others are told of, or written anew from the strip's numbers."""
+        found = {name: _sum_of(self._folder / name / "zarr.json") for name in _HEADERS}
+        damaged = [name for name in _HEADERS if found[name] != self._sums.get(name)]
+        if not damaged:
+            return
+        if not mend:
+            raise ValueError(f"{damaged[0]}: zarr.json: missing, or not as it was written: pysas survey --resume mends it")
         memory: dict[str, Any] = {}
-        expected = stores.library().create_group(stores.library().storage.MemoryStore(memory), zarr_format=3)
-        _create_arrays(expected, rows, self.tiles, self.columns)
-        for name in ("x", "y", *ARRAYS):
-            with contextlib.suppress(ValueError), blamed(name):
-                stores.require_header(self._folder / name)
-                if self._group[name].metadata.to_dict() == expected[name].metadata.to_dict():
-                    continue
-            if not mend:
-                raise ValueError(f"{name}: zarr.json: missing, or not as it was written: pysas survey --resume mends it")
+        _create_arrays(_in_memory(memory), rows, self.tiles, self.columns)
+        for name in damaged:
             (self._folder / name).mkdir(exist_ok=True)
             with files.replacing(self._folder / name / "zarr.json") as file:
                 file.write(memory[f"{name}/zarr.json"].to_bytes())
             self.mended.append(f"{name}/zarr.json")
+        self._put_attributes(rows)
+
+    def _put_attributes(self, rows: int) -> None:
+        self._sums = {name: _sum_of(self._folder / name / "zarr.json") for name in _HEADERS}
+        with files.replacing(self._folder / "zarr.json") as file:
+            file.write(_zarrs_group_of({**self.attributes, "rows": rows, "headers": self._sums}))
 
     def _axis(self, name: str) -> FloatArray:
         with blamed(name, "damaged"):
@@ -191,7 +194,7 @@ class StripStore:
         self._group["x"][...] = x
         self.x, self.tiles = x, x.size // self.columns
         self.attributes = {**attributes, "columns": self.columns, "tiles": self.tiles}
-        self._group.update_attributes(_summed({**self.attributes, "rows": self.y.size}))
+        self._put_attributes(self.y.size)
 
     def parts(self) -> Iterator[Path]:
         """Files that killed processes left half-written."""
@@ -220,12 +223,10 @@ class SurveyStore:
         stores.require(self.path)
         folder = Path(self.path)
         try:
-            stores.require_header(folder)
-            header = json.loads((folder / "zarr.json").read_bytes()).get("attributes", {})
-            if (schema := header.get("schema")) != SCHEMA:
+            self.mended: list[str] = []
+            self.header = _attributes_of(folder, self.mended if mend else None)
+            if (schema := self.header.get("schema")) != SCHEMA:
                 raise ValueError(f"schema: found {schema!r:.60}, expected {SCHEMA!r}")
-            stores.require_sum(header)
-            self.header = {name: value for name, value in header.items() if name != "crc32"}
             names = self.header["strips"]
             if not isinstance(names, list) or not all(isinstance(name, str) and name.isprintable() for name in names):
                 raise ValueError(f"strips: found {names!r:.60}, expected names")
@@ -250,16 +251,38 @@ class SurveyStore:
 
 def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader]) -> None:
     """A new store in a folder that is not there yet; tiles have no pixels and no records."""
-    zarr = stores.library()
-    root = zarr.create_group(stores.local(folder), zarr_format=3, overwrite=False)
+    root = stores.library().create_group(stores.local(folder), zarr_format=3, overwrite=False)
     for strip in strips:
         rows, tiles = strip.y.size, strip.x.size // strip.columns
-        attributes = {**strip.attributes, "columns": strip.columns, "tiles": tiles, "rows": rows}
-        group = root.create_group(strip.name, attributes=_summed(attributes))
+        group = root.create_group(strip.name)
         _create_arrays(group, rows, tiles, strip.columns)
         group["x"][...], group["y"][...] = strip.x, strip.y
-        group.create_group(_RECORDS)
-    root.update_attributes(_summed({**header, "schema": SCHEMA, "strips": [strip.name for strip in strips]}))
+        headers = {name: _sum_of(folder / strip.name / name / "zarr.json") for name in _HEADERS}
+        numbers = {"columns": strip.columns, "tiles": tiles, "rows": rows, "headers": headers}
+        (folder / strip.name / "zarr.json").write_bytes(_zarrs_group_of({**strip.attributes, **numbers}))
+    names = [strip.name for strip in strips]
+    (folder / "zarr.json").write_bytes(_zarrs_group_of({**header, "schema": SCHEMA, "strips": names}))
+
+
+def _attributes_of(folder: Path, mended: list[str] | None) -> dict[str, Any]:
+    """Attributes of a group, as they were written; what else its header says is written anew where it is not, if `mended`."""
+    stores.require_header(folder)
+    group = json.loads((folder / "zarr.json").read_bytes())
+    attributes = dict(group.pop("attributes", {}))
+    if attributes.get("schema", SCHEMA) != SCHEMA:
+        return attributes  # of another store
+    if "crc32" not in attributes:
+        raise ValueError("zarr.json: damaged: found attributes without their CRC-32")
+    stores.require_sum(attributes)
+    del attributes["crc32"]
+    group.pop("consolidated_metadata", None)
+    if group != {"zarr_format": 3, "node_type": "group"}:
+        if mended is None:
+            raise ValueError("zarr.json: damaged: pysas survey --resume mends it")
+        with files.replacing(folder / "zarr.json") as file:
+            file.write(_zarrs_group_of(attributes))
+        mended.append("zarr.json")
+    return attributes
 
 
 def _create_arrays(group: Any, rows: int, tiles: int, columns: int) -> None:
@@ -267,6 +290,7 @@ def _create_arrays(group: Any, rows: int, tiles: int, columns: int) -> None:
         _create(group, name, np.dtype(np.float64), (size,), (chunk,), None, (name,))
     for name, dtype in ARRAYS.items():
         _create(group, name, dtype, (rows, tiles * columns), (_inner(rows), columns), (rows, columns), ("y", "x"))
+    group.create_group(_RECORDS)
 
 
 def _create(
@@ -317,6 +341,28 @@ def _write_all(file: Any, content: Any) -> None:
     left = memoryview(content)
     while left.nbytes:
         left = left[file.write(left) :]
+
+
+def _in_memory(memory: dict[str, Any], **options: Any) -> Any:
+    """A group of zarr's, whose files are the items of a dictionary."""
+    zarr = stores.library()
+    return zarr.create_group(zarr.storage.MemoryStore(memory), zarr_format=3, **options)
+
+
+def _zarrs_group_of(attributes: Mapping[str, Any]) -> bytes:
+    """The zarr.json of a group, as zarr writes it."""
+    memory: dict[str, Any] = {}
+    _in_memory(memory, attributes=_summed(attributes))
+    return bytes(memory["zarr.json"].to_bytes())
+
+
+def _sum_of(path: Path) -> int:
+    """CRC-32 of a header; -1 where there is none."""
+    try:
+        stores.require_header(path.parent)
+        return zlib.crc32(path.read_bytes())
+    except ValueError:
+        return -1
 
 
 def _group_of(record: Mapping[str, Any]) -> bytes:

@@ -54,11 +54,9 @@ def verify(
     """
     _checks.callback("progress", progress)
     store = SurveyStore(path, mend=True)
-    found = [
-        Damage(f"{strip.name}, {name}", "missing, or not as it was written: mended")
-        for strip in store.strips
-        for name in strip.mended
-    ]
+    strips = store.strips
+    headers = [*store.mended, *(f"{strip.name}/{name}" for strip in strips for name in strip.mended)]
+    found = [Damage(name, "missing, or not as it was written: mended") for name in headers]
     plans = [plan_of(store, strip) for strip in store.strips]
     whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
     done = 0
