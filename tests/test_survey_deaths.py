@@ -105,7 +105,7 @@ class Processes:
         """A worker of the scheduler: one process without a nanny unless asked."""
         return self.start(
             "-m", "distributed.cli.dask_worker", self.address, "--host", "127.0.0.1", "--no-dashboard", "--nthreads", "1",
-            *(options or ("--no-nanny",)), "--death-timeout", "30", **more,
+            *(options or ("--no-nanny",)), "--death-timeout", "30", "--local-directory", self.folder, **more,
         )  # fmt: skip
 
     def kill(self, process, number=signal.SIGKILL):
@@ -412,6 +412,50 @@ def test_workers_of_several_threads_and_of_too_little_memory(scene, processes, t
     code, out, err = processes.ended(processes.survey("resume", path, tmp_path / "out.zarr", processes.address))
     assert code == 0 and json.loads(out)["complete"], err
     assert same(tmp_path / "out.zarr", whole)
+
+
+POISON = """
+import os
+from pysas.survey import distributing, sections
+
+
+def deadly(path, number, section, threads):
+    if section == 2:
+        os._exit(9)
+    return sections.image_section(path, number, section, threads)
+
+
+distributing.image_section = deadly
+"""
+
+
+@pytest.mark.slow
+def test_a_section_that_kills_its_workers_is_given_up_and_the_others_are_made(scene, processes, tmp_path):
+    path, plan, whole = scene
+    store = tmp_path / "out.zarr"
+    (tmp_path / "poison.py").write_text(POISON)
+    processes.scheduler()
+    processes.worker("--nanny", "--preload", tmp_path / "poison.py")
+    code, out, err = processes.ended(processes.survey("run", path, store, processes.address))
+    report = json.loads(out)
+    lacking = len(plan.strips[0].tiles_of(2))
+    assert code == 0 and report["lost"] == [{"strip": "000-port", "section": 2, "reason": "its worker died 4 times"}], err
+    assert not report["complete"] and report["made"] == records(store) == plan.strips[0].tiles - lacking
+    again = survey.resume(store, threads=1)
+    assert again.complete and len(again.made) == lacking and same(store, whole)
+
+
+@pytest.mark.slow
+def test_two_that_resume_the_same_store_leave_it_whole(scene, processes, tmp_path):
+    path, _, whole = scene
+    store = tmp_path / "out.zarr"
+    first = processes.survey("run", path, store)
+    until(lambda: records(store) > 3)
+    second = processes.survey("resume", path, store)
+    for process in (first, second):
+        code, out, err = processes.ended(process)
+        assert code == 0 and json.loads(out)["complete"], err
+    assert same(store, whole)
 
 
 PEAK = "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')][0])"
