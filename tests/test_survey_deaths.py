@@ -105,7 +105,7 @@ class Processes:
         """A worker of the scheduler: one process without a nanny unless asked."""
         return self.start(
             "-m", "distributed.cli.dask_worker", self.address, "--host", "127.0.0.1", "--no-dashboard", "--nthreads", "1",
-            *(options or ("--no-nanny",)), "--death-timeout", "30", "--local-directory", self.folder, **more,
+            *(options or ("--no-nanny",)), "--death-timeout", "30", **more,
         )  # fmt: skip
 
     def kill(self, process, number=signal.SIGKILL):
