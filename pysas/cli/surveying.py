@@ -19,6 +19,7 @@ from pysas.survey import SurveyPlan, SurveyReport, follow, overview, page, plan,
 from pysas.survey.lines import SECTION, TILE
 from pysas.survey.running import require_same
 
+_PATIENCE = 10.0  # s for a scheduler's answer
 # options that a plan is made from, by their names in Python
 _PLANNED = (
     "pixel", "swath", "side", "z", "altitude", "depth_map", "tol", "method", "backend", "nan", "window", "tile", "section",
@@ -175,7 +176,7 @@ def _client(address: str | None) -> Iterator[Any]:
     except ImportError:
         raise _checks.optional("distributed", "survey") from None
     try:
-        client: Any = distributed.Client(address, timeout=10)  # type: ignore[no-untyped-call]
+        client: Any = distributed.Client(address, timeout=_PATIENCE)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ConnectionError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from None
     with client:
