@@ -13,6 +13,8 @@ import pysas
 from pysas import cli
 from pysas.cli import common, surveying
 
+pytestmark = pytest.mark.cpp  # with either engine the same is tested
+
 CUT = ["--tile", "5", "--section", "20", "--pixel", "0.1", "--swath", "10:30", "--z", "0"]
 
 

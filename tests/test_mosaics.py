@@ -27,6 +27,8 @@ from pysas.navigation import Frame, to_utm
 from pysas.survey import image_store, placing
 from pysas.survey.mosaics import Mosaic, mosaic
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 STEP = 0.1
 FRAME = {"heading": 0.7, "lat": 54.3, "lon": 10.1, "origin": [20.0, -30.0, 0.0]}
 Field = Callable[[Any, Any], Any]  # magnitude of x, y on a strip's axes

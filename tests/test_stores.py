@@ -31,6 +31,8 @@ from pysas.formats.fields import Array
 from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 CONTAINERS = (".npz", ".h5", ".zarr")
 BY_PING = ("data", "ping_time", "rx", "t0", "tx", "velocity")  # arrays of `line`
 PAGE = Path(__file__).parents[1] / "docs" / "survey.md"

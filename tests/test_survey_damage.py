@@ -14,6 +14,8 @@ import pysas
 from pysas import survey
 from pysas.survey.image_store import StripHeader, SurveyStore, create
 
+pytestmark = pytest.mark.cpp  # with either engine the same is tested
+
 CUT = {"tile": 4.0, "section": 20.0, "pixel": (0.1, 0.1), "swath": (10.0, 30.0)}
 STRIP = "000-port"
 

@@ -24,6 +24,8 @@ from pysas import survey
 from pysas.survey import sections
 from pysas.survey.image_store import SurveyStore
 
+pytestmark = pytest.mark.cpp  # with either engine the same is tested
+
 CUT = {"tile": 2.0, "section": 12.0, "pixel": (0.02, 0.04), "swath": (10.0, 36.0)}
 RUN = """
 import json, sys

@@ -18,6 +18,8 @@ from pysas import cli, survey
 from pysas.survey.image_store import SurveyStore
 from pysas.survey.tiling import StripPlan
 
+pytestmark = pytest.mark.cpp  # with either engine the same is tested
+
 CUT = {"tile": 5.0, "section": 20.0, "pixel": 0.1, "swath": (10.0, 30.0), "z": 0.0}
 PINGS = 500  # 150 m: axes are laid along the first 100
 PATIENCE = 60.0  # s

@@ -32,6 +32,8 @@ from pysas.survey.pages import page
 from pysas.survey.pictures import Chart, overview
 from pysas.survey.running import SurveyReport
 
+pytestmark = pytest.mark.cpp  # with either engine the same is tested
+
 NAME = "<script>alert(1)<b>$x_&.zarr"  # HTML and mathematics that a picture would stumble over
 FRAME = Frame(1.0, 43.5, 7.0)
 FAILED, GONE, FLIPPED, CUT = range(7, 17), 5, 3, 9  # tiles, of the first strip and of the second
