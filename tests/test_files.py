@@ -19,6 +19,8 @@ import pytest
 import pysas
 from pysas.formats import files
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 LINUX = sys.platform.startswith("linux")
 
 

@@ -10,6 +10,8 @@ import pytest
 import pysas
 from pysas.inspection import inspect
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FS, FC = 40e3, 100e3
 
 

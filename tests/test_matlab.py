@@ -16,6 +16,8 @@ import scipy.io
 from pysas.formats.matlab import read_mat
 from pysas.formats.recordings import read_wav
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 KINDS = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 
 

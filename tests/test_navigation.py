@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 from pysas import navigation
 from pysas.navigation import Frame, along_track, euler, from_utm, matrices, quaternions, to_utm
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FORWARD, STARBOARD, DOWN = np.eye(3)
 ANGLE = st.floats(-np.pi, np.pi)
 PITCH = st.floats(-np.pi / 2, np.pi / 2)

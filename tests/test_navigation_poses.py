@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from pysas.navigation import Frame, Poses, euler, geometry, matrices, to_utm
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 START = 1.79e9  # s, UNIX
 ROUNDED = 5e-7  # m: half a spacing of float64 at START, 0.12 microseconds, at some m/s
 TX, RX = (0.5, 0.25, 0.1), np.array([[-0.4, 0.25, 0.15], [-0.35, 0.2, 0.15]])

@@ -8,6 +8,8 @@ import scipy.ndimage
 
 import pysas
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 X, Y, Z = np.linspace(0, 4, 9), np.linspace(10, 12, 5), np.linspace(0, 1, 3)
 
 

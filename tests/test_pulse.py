@@ -18,6 +18,8 @@ from hypothesis import strategies as st
 
 from pysas.model.pulse import LFM
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FC, B, T = 100e3, 20e3, 1e-3
 PULSES = {
     "rect": LFM(FC, B, T),

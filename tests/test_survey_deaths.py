@@ -278,11 +278,15 @@ def test_deaths_at_random_times_leave_no_trace(kind, seed, scene, processes, tmp
 def test_ctrl_c_ends_a_run_that_resume_completes(scene, processes, tmp_path):
     path, _, whole = scene
     store = tmp_path / "out.zarr"
-    process = processes.survey("run", path, store)
-    until(lambda: records(store) >= 10)
-    os.kill(process.pid, signal.SIGINT)
-    code, _, err = processes.ended(process)
-    assert code != 0 and "KeyboardInterrupt" in err and 10 <= records(store) < 41
+    for _ in range(5):  # it may be done before the signal comes
+        shutil.rmtree(store, ignore_errors=True)
+        process = processes.survey("run", path, store)
+        until(lambda: records(store) >= 3)
+        os.kill(process.pid, signal.SIGINT)
+        code, _, err = processes.ended(process)
+        if records(store) < 41:
+            break
+    assert code != 0 and "KeyboardInterrupt" in err and 3 <= records(store) < 41
     assert survey.resume(store, threads=1).complete and same(store, whole)
 
 

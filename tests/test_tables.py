@@ -10,6 +10,8 @@ import pytest
 
 import pysas
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 
 def write(folder: Path, text: str | bytes, name: str = "nav.csv") -> str:
     path = folder / name

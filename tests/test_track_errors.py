@@ -12,6 +12,8 @@ import pysas
 from pysas.metrics import track_error
 from pysas.tracks import Track, array, circular, perturbed, straight
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FloatArray = npt.NDArray[np.float64]
 
 N = 200

@@ -9,6 +9,8 @@ import pytest
 
 from pysas.tracks import Track, array, circular, inertial, perturbed, straight
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 
 def test_straight() -> None:
     track = straight(4, 0.5, height=8.0, speed=2.0, start=(1.0, 2.0, 3.0))
