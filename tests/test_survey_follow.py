@@ -141,3 +141,85 @@ def test_what_cannot_be_followed_is_named(echoes, tmp_path, capsys):
     assert not (tmp_path / "images.zarr").exists()
     assert cli.main(["survey", "a.zarr", "b.zarr", "-o", str(tmp_path / "images.zarr"), "--follow"]) == 2
     assert "one LINE" in capsys.readouterr().err
+
+
+# What is not the line that was planned
+
+
+def ended(echoes, folder, **options):
+    """A follower whose patience is over, of a line that still grows."""
+    with pysas.EchoWriter(folder / "line.zarr") as writer:
+        writer.append(echoes)
+        return survey.follow(folder / "line.zarr", folder / "images.zarr", poll=0.02, patience=0.05, **CUT | options)
+
+
+def test_a_store_goes_on_with_its_own_line_alone(echoes, tmp_path):
+    ended(echoes[:420], tmp_path)
+    before = tree(tmp_path / "images.zarr")
+    record(echoes, tmp_path / "other.zarr", 100)
+    with pytest.raises(ValueError, match=r"images\.zarr: of .*line\.zarr: expected that line, not .*other\.zarr"):
+        survey.follow(tmp_path / "other.zarr", tmp_path / "images.zarr", again=True, patience=1.0)
+    assert tree(tmp_path / "images.zarr") == before
+
+
+def test_a_line_that_is_replaced_while_it_is_followed_ends_it(echoes, tmp_path):
+    line_, store = tmp_path / "line.zarr", tmp_path / "images.zarr"
+    (tmp_path / "other").mkdir()
+    other = line(tmp_path / "other" / "line.zarr", pings=PINGS, heading=0.31)
+    replaced = []
+
+    def replace(_):
+        if not replaced:
+            replaced.append(True)
+            line_.rename(tmp_path / "gone.zarr")
+            record(other, line_, 500)
+
+    with pysas.EchoWriter(line_) as writer:
+        writer.append(echoes[:420])
+        with pytest.raises(ValueError, match=r"line\.zarr: navigation of pings .* is not what the survey was planned from"):
+            survey.follow(line_, store, poll=0.02, patience=5.0, progress=replace, **CUT)
+
+
+def test_a_line_that_was_complete_and_grows_again_is_named(echoes, tmp_path):
+    """Tiles at its end were made without the pings that came after."""
+    record(echoes[:420], tmp_path / "line.zarr", 100)
+    survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", **CUT)
+    before = tree(tmp_path / "images.zarr")
+    with pysas.EchoWriter(tmp_path / "line.zarr", resume=True) as writer:
+        writer.append(echoes[420:])
+    with pytest.raises(ValueError, match=r"line\.zarr: has 500 pings, the survey was planned when it was complete with 420"):
+        survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", again=True)
+    assert tree(tmp_path / "images.zarr") == before
+
+
+def test_tiles_that_fail_again_are_told_by_a_follower_that_goes_on(echoes, tmp_path, capsys):
+    data = echoes.data.copy()
+    data[200] = np.nan
+    assert ended(echoes.replace(data=data)[:420], tmp_path).failed
+    with pysas.EchoWriter(tmp_path / "line.zarr", resume=True) as writer:
+        writer.append(echoes[420:])
+    command = ["survey", str(tmp_path / "line.zarr"), "-o", str(tmp_path / "images.zarr"), "--follow", "--resume", "--json"]
+    assert cli.main(command) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["failed"] and not report["complete"] and "ping 200" in report["failed"][0]["reason"]
+
+
+def test_a_store_that_no_recorder_wrote_is_complete(echoes, tmp_path):
+    """Without attributes "pings" and "complete" all pings are there."""
+    record(echoes, tmp_path / "line.zarr", 500)
+    path = tmp_path / "line.zarr" / "zarr.json"
+    group = json.loads(path.read_bytes())
+    for name in ("pings", "complete", "crc32"):
+        del group["attributes"][name]
+    path.write_text(json.dumps(group))
+    assert survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", patience=1.0, **CUT).complete
+
+
+def test_a_tile_that_is_longer_than_the_track_for_axes(echoes, tmp_path):
+    """Rounded to pixels it is longer than what was waited for."""
+    cut = CUT | {"tile": 149.6, "pixel": 0.7}
+    with pytest.raises(ValueError, match=r"line\.zarr: 500 pings, and no more for 0\.05 s: expected 100 m of track and a tile"):
+        ended(echoes, tmp_path, **cut)
+    assert not (tmp_path / "images.zarr").exists()
+    record(echoes, tmp_path / "whole.zarr", 500)
+    assert survey.follow(tmp_path / "whole.zarr", tmp_path / "images.zarr", patience=5.0, **cut).complete

@@ -17,10 +17,10 @@ from pysas.formats import files, io
 from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.image_store import SurveyStore
-from pysas.survey.lines import Cut, SurveyPlan
-from pysas.survey.running import SurveyReport, begin, plans_of, resume
-from pysas.survey.sections import Made, Section, reading
-from pysas.survey.tiling import StripPlan, begun, extended
+from pysas.survey.lines import Cut, SurveyPlan, named
+from pysas.survey.running import SurveyReport, begin, placed, plan_of, resume
+from pysas.survey.sections import Section, reading
+from pysas.survey.tiling import StripPlan, begun, extended, require_navigation
 
 AXES = 100.0  # m of track that the axes of a strip are laid along
 
@@ -77,14 +77,23 @@ def follow(
     if again:
         if options:
             raise TypeError(f"{', '.join(options)}: expected none with again: the store has its plan")
+        store = SurveyStore(path, mend=True)
+        plans = [plan_of(store, strip) for strip in store.strips]
+        _require_line(plans, text, store.path)
         report = resume(path, threads=threads)
-        before = report.there
-        plans = plans_of(SurveyStore(path))
     else:
-        cut, before = Cut.of(**options), 0
-        plans = _first(cut, text, waiting)
+        plans = _first(Cut.of(**options), text, waiting)
         begin(SurveyPlan(tuple(plans), (0.0,) * len(plans), 0, _checks.threads(threads)), path, overwrite=overwrite)
-    return _Following(plans, SurveyStore(path), again, threads, progress).until_complete(waiting, before)
+        report = SurveyReport(files.name(path), 0, 0, 0.0)
+    with placed(report.path, f"pysas survey {text} -o {report.path} --follow --resume goes on from there"):
+        return _Following(plans, SurveyStore(path), report, threads, progress).until_complete(waiting)
+
+
+def _require_line(plans: list[StripPlan], line: str, path: str) -> None:
+    """Raise ValueError where a store is not of this line alone."""
+    others = {plan.line for plan in plans} - {os.path.abspath(line)}
+    if others:
+        raise ValueError(f"{path}: of {', '.join(sorted(others))}: expected that line, not {line}, alone")
 
 
 class _Waiting:
@@ -111,7 +120,7 @@ class _Waiting:
         """Pings there, and whether these are all, of the header alone."""
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # not there yet; opening it tells what is wrong
             header = json.loads((Path(self.line) / "zarr.json").read_bytes())["attributes"]
-            return int(header["pings"]), header.get("complete", True) is not False
+            return int(header.get("pings", 1)), header.get("complete", True) is not False
         return 0, False
 
 
@@ -120,7 +129,7 @@ def _first(cut: Cut, line: str, waiting: _Waiting) -> list[StripPlan]:
     while True:
         if not waiting.more(waiting.pings):
             found = f"{waiting.pings} pings, and no more for {spoken(waiting.patience or 0.0)}"
-            raise ValueError(f"{line}: {found}: expected {AXES:g} m of track, to lay axes along")
+            raise ValueError(f"{line}: {found}: expected {AXES:g} m of track and a tile, to lay axes along")
         with open_echoes(line) as store:
             navigation = store.navigation
             away = np.linalg.norm(navigation.tx[:, :2] - navigation.tx[0, :2], axis=1)
@@ -128,24 +137,27 @@ def _first(cut: Cut, line: str, waiting: _Waiting) -> list[StripPlan]:
             if not store.complete and not enough.size:
                 continue
             first = navigation[: int(enough[0]) + 1] if enough.size else navigation
-            strips = [begun(strip, first) for strip in cut.strips(0, line, first)]
-            return [extended(strip, navigation, store.complete) for strip in strips]
+            with named(line):
+                strips = [begun(strip, first) for strip in cut.strips(0, line, first)]
+            strips = [extended(strip, navigation, store.complete) for strip in strips]
+            if all(strip.tiles for strip in strips):
+                return strips
 
 
 class _Following:
     """Strips of one line, as they grow."""
 
     def __init__(
-        self, plans: list[StripPlan], store: SurveyStore, again: bool, threads: int | None,
+        self, plans: list[StripPlan], store: SurveyStore, report: SurveyReport, threads: int | None,
         progress: Callable[[int], None] | None,
     ) -> None:  # fmt: skip
         self.plans, self.store, self.threads, self.progress = plans, store, threads, progress
+        self.report = report  # of tiles that are done
         self.open: list[dict[int, Section]] = [{} for _ in plans]
-        self.final = [plan.ready if again else 0 for plan in plans]  # tiles before these are done
+        self.final = [plan.ready if report.tiles else 0 for plan in plans]  # tiles before these are
         self.next = [_lighting(plan, tile) for plan, tile in zip(plans, self.final, strict=True)]  # blocks to be summed
-        self.made: list[Made] = []
 
-    def until_complete(self, waiting: _Waiting, before: int) -> SurveyReport:
+    def until_complete(self, waiting: _Waiting) -> SurveyReport:
         began = time.perf_counter()
         try:
             while True:
@@ -161,15 +173,18 @@ class _Following:
             for sections in self.open:
                 for section in sections.values():
                     section.__exit__()
-        tiles = sum(plan.ready for plan in self.plans)
-        report = SurveyReport(self.store.path, tiles, before, 0.0, self.made)
-        report.seconds = time.perf_counter() - began
-        return report
+        self.report.tiles = sum(plan.ready for plan in self.plans)
+        self.report.seconds += time.perf_counter() - began
+        return self.report
 
     def _go_on(self, number: int, echoes: EchoStore) -> None:
         """Extend a strip by what has come, and make what is complete."""
-        strip = self.store.strips[number]
-        plan = extended(self.plans[number], echoes.navigation, echoes.complete)
+        strip, before = self.store.strips[number], self.plans[number]
+        require_navigation(before, echoes.navigation, before.blocks[-1:])
+        if before.complete and echoes.n_ping > before.blocks[-1].last:
+            planned = f"the survey was planned when it was complete with {before.blocks[-1].last}"
+            raise ValueError(f"{before.line}: has {echoes.n_ping} pings, {planned}: expected a new survey, --overwrite")
+        plan = extended(before, echoes.navigation, echoes.complete)
         if plan.attributes() != strip.attributes:
             strip.grow(plan.x, plan.attributes())
         self.plans[number] = plan
@@ -206,7 +221,7 @@ class _Following:
             work = sections[section]
             work.finish(range(self.final[number], end))
             self.final[number] = end
-            self.made += work.done
+            self.report.made += work.done
             work.done = []
             if end == (section + 1) * plan.section:
                 sections.pop(section).__exit__()

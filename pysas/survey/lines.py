@@ -194,7 +194,7 @@ def plan(
                     f"{store.path}: not complete: its recorder adds pings, or was ended; the {store.n_ping} there count"
                 )
             for strip in cut.strips(number, store.path, store.navigation):
-                with _named(store.path):
+                with named(store.path):
                     whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
                     whole.require_heights()
                 cost = _cost(whole, store.navigation, count)
@@ -238,7 +238,7 @@ class Cut:
 
     def strips(self, number: int, path: str, echoes: Echoes) -> list[StripPlan]:
         """Strips of a line, without blocks, by its navigation."""
-        with _named(path):
+        with named(path):
             return self._strips(number, path, echoes)
 
     def _strips(self, number: int, line: str, echoes: Echoes) -> list[StripPlan]:
@@ -280,7 +280,7 @@ class Cut:
 
 
 @contextlib.contextmanager
-def _named(path: str) -> Iterator[None]:
+def named(path: str) -> Iterator[None]:
     """Errors within it name the line."""
     try:
         yield
@@ -370,7 +370,7 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     strip: Strip = plan.strip(threads)
     grid = strip.grid(dear.low, dear.high - dear.low)
     s = plan.settings
-    with _named(plan.line), warnings.catch_warnings():
+    with named(plan.line), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is silent is an error here
         made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
     if made.silent:

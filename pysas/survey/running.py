@@ -19,7 +19,7 @@ from pysas.survey.distributing import Lost, by_client
 from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
 from pysas.survey.sections import Made, close_lines, image_section, made, recorded
-from pysas.survey.tiling import StripPlan, navigation_digest
+from pysas.survey.tiling import StripPlan, require_navigation
 
 Job = tuple[int, int]  # numbers of a strip and of its section
 
@@ -159,7 +159,7 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     header = {
         "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
     }  # fmt: skip
-    with _placed(text), stores.replacing(text, overwrite=overwrite) as folder:
+    with placed(text), stores.replacing(text, overwrite=overwrite) as folder:
         create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
     return text
 
@@ -170,9 +170,23 @@ def resume(
 ) -> SurveyReport:  # fmt: skip
     """Make the tiles that a store's plan has and the store has not: those not begun, failed, or found damaged by `verify`.
 
-    Parameters, Returns, Raises
-    ---------------------------
-    As `run`. ValueError: no such store, one of another version, or lines whose navigation is not what it was planned from.
+    Parameters
+    ----------
+    path : str or path
+        Of the store.
+    client, threads, progress
+        As in `run`.
+
+    Returns
+    -------
+    SurveyReport
+
+    Raises
+    ------
+    ValueError
+        No such store, one of another version, or lines whose navigation is not what it was planned from.
+    TypeError, OSError, MemoryError, ConnectionError
+        As `run` raises them.
     """
     _checks.callback("progress", progress)
     if threads is not None:
@@ -199,7 +213,7 @@ def resume(
             progress((done + share * weight) / whole)
 
     try:
-        with _placed(store.path):
+        with placed(store.path, f"pysas survey --resume -o {store.path} goes on from there"):
             results = (
                 _here(store.path, weights, threads, told)
                 if client is None
@@ -216,9 +230,6 @@ def resume(
                 report.made += found + [
                     recorded(strip, tile) for tile in jobs[job] if tile not in named and made(plan, strip, tile)
                 ]
-    except (OSError, MemoryError) as error:
-        error.add_note(f"pysas survey --resume -o {store.path} goes on from there")
-        raise
     finally:
         close_lines()
     report.seconds = time.perf_counter() - began
@@ -226,13 +237,15 @@ def resume(
 
 
 @contextlib.contextmanager
-def _placed(path: str) -> Iterator[None]:
-    """Errors of the file system name the store where they name nothing, as those of writing do."""
+def placed(path: str, note: str = "") -> Iterator[None]:
+    """Errors of the file system name the store where they name nothing, as those of writing do; `note` tells how to go on."""
     try:
         yield
-    except OSError as error:
-        if error.errno and error.filename is None and not isinstance(error, ConnectionError):
+    except (OSError, MemoryError) as error:
+        if isinstance(error, OSError) and error.errno and error.filename is None and not isinstance(error, ConnectionError):
             error.filename = path
+        if note:
+            error.add_note(note)
         raise
 
 
@@ -252,7 +265,7 @@ def plans_of(store: SurveyStore) -> list[StripPlan]:
         with open_echoes(line) as echoes:
             for plan in plans:
                 if plan.line == line:
-                    require_navigation(plan, echoes.navigation)
+                    require_navigation(plan, echoes.navigation, plan.blocks)
     return plans
 
 
@@ -262,16 +275,6 @@ def plan_of(store: SurveyStore, strip: StripStore) -> StripPlan:
         return StripPlan.of(strip.attributes, strip.y)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
-
-
-def require_navigation(plan: StripPlan, navigation: Any) -> None:
-    """Raise ValueError where a line's navigation is not that of its plan."""
-    for block in plan.blocks:
-        if block.last > navigation.n_ping or navigation_digest(navigation[block.first : block.last]) != block.navigation:
-            raise ValueError(
-                f"{plan.line}: navigation of pings {block.first} to {block.last - 1} is not what the survey was planned from: "
-                "expected the same file, or a new survey, --overwrite"
-            )
 
 
 def require_same(plan: SurveyPlan, path: str | os.PathLike[str]) -> None:

@@ -11,7 +11,7 @@ import functools
 import hashlib
 import json
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -285,6 +285,16 @@ def _spans(plan: StripPlan, navigation: Echoes, first: int, complete: bool) -> I
         last = first + int(beyond[0]) if beyond.size else int(along.size)
         yield first, last
         first = last
+
+
+def require_navigation(plan: StripPlan, navigation: Echoes, blocks: Iterable[Block]) -> None:
+    """Raise ValueError where a line's navigation is not that of these blocks of its plan."""
+    for block in blocks:
+        if block.last > navigation.n_ping or navigation_digest(navigation[block.first : block.last]) != block.navigation:
+            raise ValueError(
+                f"{plan.line}: navigation of pings {block.first} to {block.last - 1} is not what the survey was planned from: "
+                "expected the same file, or a new survey, --overwrite"
+            )
 
 
 def navigation_digest(echoes: Echoes) -> str:

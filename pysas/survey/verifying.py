@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pysas import _checks
 from pysas.formats.echo_store import open_echoes
 from pysas.survey.image_store import DAMAGED, DONE, SurveyStore
-from pysas.survey.running import plan_of, require_navigation
+from pysas.survey.running import plan_of
 from pysas.survey.sections import reading
-from pysas.survey.tiling import StripPlan
+from pysas.survey.tiling import StripPlan, require_navigation
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def _inputs(plan: StripPlan, samples: dict[tuple[int, int], int], one_more: Call
     """Of a line: pings whose samples are damaged, or not those that tiles were made from."""
     try:
         with open_echoes(plan.line) as echoes:
-            require_navigation(plan, echoes.navigation)
+            require_navigation(plan, echoes.navigation, plan.blocks)
             found = []
             for block in plan.blocks:
                 where = f"{plan.line}, pings {block.first} to {block.last - 1}"
