@@ -15,6 +15,7 @@ from survey_scenes import line
 
 import pysas
 from pysas import cli, survey
+from pysas.survey import image_store
 from pysas.survey.image_store import SurveyStore
 from pysas.survey.tiling import StripPlan
 
@@ -141,6 +142,19 @@ def test_what_cannot_be_followed_is_named(echoes, tmp_path, capsys):
     assert not (tmp_path / "images.zarr").exists()
     assert cli.main(["survey", "a.zarr", "b.zarr", "-o", str(tmp_path / "images.zarr"), "--follow"]) == 2
     assert "one LINE" in capsys.readouterr().err
+
+
+def test_growth_rewrites_no_axis_that_is_there(tmp_path):
+    """Of a line of 120 km the axis has 40 MB."""
+    store = tmp_path / "grown.zarr"
+    image_store.create(store, {}, [image_store.StripHeader("000-port", {}, np.arange(9000.0), np.arange(4.0), 50)])
+    first = store / "000-port" / "x" / "c.0"
+    before = first.stat().st_mtime_ns, first.stat().st_ino
+    strip = SurveyStore(store).strips[0]
+    strip.grow(np.arange(13000.0), {})
+    assert before == (first.stat().st_mtime_ns, first.stat().st_ino)
+    again = SurveyStore(store).strips[0]
+    assert np.array_equal(again.x, np.arange(13000.0)) and again.tiles == 260
 
 
 # What is not the line that was planned

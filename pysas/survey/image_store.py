@@ -190,8 +190,9 @@ class StripStore:
         """More tiles at the end, and what the strip is made from then; by no one else at the same time."""
         for name in ARRAYS:
             self._arrays[name].resize((self.y.size, x.size))
-        self._group["x"].resize((x.size,))
-        self._group["x"][...] = x
+        axis, begin = self._group["x"], self.x.size
+        axis.resize((x.size,))
+        axis[begin:] = x[begin:]
         self.x, self.tiles = x, x.size // self.columns
         self.attributes = {**attributes, "columns": self.columns, "tiles": self.tiles}
         self._put_attributes(self.y.size)
