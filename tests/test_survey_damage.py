@@ -167,6 +167,40 @@ def test_samples_other_than_tiles_were_made_from_are_named(scene, copies):
     assert first <= 100 <= last and last - first < 20
 
 
+def test_tiles_made_from_two_kinds_of_samples_are_named(scene, copies):
+    """Both lie in the store, and what the line holds now is right for some tiles alone."""
+    _, echoes, _, _ = scene
+    path, store, _ = copies
+    strip = SurveyStore(store).strips[0]
+    for tile in range(strip.tiles // 2, strip.tiles):
+        strip.forget(tile)
+    shutil.rmtree(path)
+    data = echoes.data.copy()
+    data[:, 3, 200] *= 1.5
+    with pysas.EchoWriter(path, int16=True) as writer:
+        for first in range(0, 240, 48):
+            writer.append(echoes.replace(data=data)[first : first + 48])
+    assert survey.resume(store).complete
+    found = survey.verify(store)
+    assert {one.what for one in found} == {"other samples than tiles were made from"}
+    blocks = {tuple(span[:2]) for tile in range(strip.tiles // 2) for span in strip.record(tile)["input"]}
+    assert len(found) == len(blocks)
+
+
+def test_a_worker_that_sees_another_line_makes_no_tile(scene, copies):
+    """Of the same name, as where workers do not share their disks; the client saw the right one."""
+    path, store, _ = copies
+    strip = SurveyStore(store).strips[0]
+    for tile in range(strip.tiles):
+        strip.forget(tile)
+    shutil.rmtree(path)
+    line(path, heading=0.31)
+    with pytest.raises(ValueError, match=r"line\.zarr: navigation of pings \d+ to \d+ is not what the survey was planned from"):
+        survey.sections.image_section(str(store), 0, 1, 1)
+    survey.sections.close_lines()
+    assert not any(strip.has_record(tile) for tile in range(strip.tiles))
+
+
 # Damage of a store
 
 

@@ -20,7 +20,7 @@ from pysas.model.image import Report
 from pysas.signal import compression
 from pysas.survey.image_store import DARK, DONE, FAILED, StripStore, SurveyStore
 from pysas.survey.strips import Blocks, Pending, add_block, crossed
-from pysas.survey.tiling import StripPlan
+from pysas.survey.tiling import StripPlan, require_navigation
 
 _ONE = threading.Lock()  # a process makes one section at a time, on all threads that it has
 
@@ -239,6 +239,7 @@ def close_lines() -> None:
 def _make(work: Section, echoes: EchoStore, wanted: list[int], progress: Callable[[float], None] | None) -> None:
     plan = work.plan
     blocks = [k for k in plan.blocks_of(range(wanted[0], wanted[-1] + 1)) if work.wanted(k, wanted)]
+    require_navigation(plan, echoes.navigation, [plan.blocks[k] for k in blocks])  # of a worker's own disk it may be another
     left = list(wanted)
     with ThreadPoolExecutor(1, thread_name_prefix="pysas-pings") as reader:
 

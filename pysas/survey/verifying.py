@@ -68,7 +68,7 @@ def verify(
             progress(done / whole)
 
     for plan, strip in zip(plans, store.strips, strict=True):
-        samples: dict[tuple[int, int], int] = {}
+        samples: dict[tuple[int, int], set[int]] = {}  # CRC-32 of pings, of all tiles that are made from them
         for tile in range(plan.tiles):
             record = strip.record(tile)
             where = f"{strip.name}, tile {tile}"
@@ -76,7 +76,8 @@ def verify(
                 found.append(Damage(where, "its record is damaged"))
                 strip.forget(tile)
             if record is not None and record["state"] == DONE:
-                samples |= {(first, last): value for first, last, value in record.get("input", ())}
+                for first, last, value in record.get("input", ()):
+                    samples.setdefault((first, last), set()).add(value)
                 if (what := strip.damage(tile)) is not None:
                     found.append(Damage(where, what))
                     strip.put(tile, {**record, "state": DAMAGED})
@@ -88,21 +89,21 @@ def verify(
     return found
 
 
-def _inputs(plan: StripPlan, samples: dict[tuple[int, int], int], one_more: Callable[[], None]) -> list[Damage]:
+def _inputs(plan: StripPlan, samples: dict[tuple[int, int], set[int]], one_more: Callable[[], None]) -> list[Damage]:
     """Of a line: pings whose samples are damaged, or not those that tiles were made from."""
+    found: list[Damage] = []
     try:
         with open_echoes(plan.line) as echoes:
             require_navigation(plan, echoes.navigation, plan.blocks)
-            found = []
             for block in plan.blocks:
                 where = f"{plan.line}, pings {block.first} to {block.last - 1}"
                 try:
                     _, value = reading(echoes, block.first, block.last)
-                    if samples.get((block.first, block.last), value) != value:
+                    if samples.get((block.first, block.last), set()) - {value}:
                         found.append(Damage(where, "other samples than tiles were made from"))
                 except ValueError as error:
                     found.append(Damage(where, str(error)))
                 one_more()
-            return found
     except (ValueError, OSError) as error:
-        return [Damage(plan.line, str(error))]
+        found.append(Damage(plan.line, str(error)))
+    return found
