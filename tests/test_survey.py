@@ -328,6 +328,34 @@ def test_what_cannot_be_planned_is_named(case, short, tmp_path):
     assert "\n" not in str(caught.value) and caught.value.args[0].count("one.npz") <= 1
 
 
+def test_a_window_is_looked_at_before_anything_runs(short, tmp_path):
+    pysas.save(tmp_path / "one.npz", short)
+    with pytest.raises(ValueError, match=r"one\.npz: window='hann': its echoes are compressed: expected raw ones"):
+        survey.plan(tmp_path / "one.npz", **CUT, window="hann")
+    line(tmp_path / "raw.npz", pings=80, raw=True)
+    with pytest.raises(ValueError, match=r"raw\.npz: window='no such'"):
+        survey.plan(tmp_path / "raw.npz", **CUT, window="no such")
+
+
+def test_a_line_of_one_place_has_no_direction(short, tmp_path):
+    pysas.save(tmp_path / "one.npz", short[:1])
+    with pytest.raises(ValueError, match=r"one\.npz: the line does not advance: expected pings at two places or more"):
+        survey.plan(tmp_path / "one.npz", **CUT)
+
+
+def test_pings_that_light_what_is_done_are_told(short, tmp_path):
+    """A ping that yaws by 15 degrees lights, 30 m away, 8 m behind those before it; tiles there are complete by then."""
+    beam = short.beam
+    turn = np.radians(np.where(np.arange(short.n_ping) == 45, 15.0, 0.0))
+    cos, sin, zero = np.cos(turn), np.sin(turn), 0 * turn
+    turned = np.moveaxis(np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, zero + 1]]), 2, 0)
+    look, ahead = (np.einsum("pij,pj->pi", turned, np.broadcast_to(v, (short.n_ping, 3))) for v in (beam.boresights, beam.axes))
+    yawed = pysas.Beam(look, beam.length, beam.half_angle, "fan", beam.taper, ahead)
+    pysas.save(tmp_path / "one.npz", short.replace(beam=yawed))
+    with pytest.warns(UserWarning, match=r"one\.npz: pings \d+ to \d+ light \d\.?\d* m of 000-port that are complete by then"):
+        survey.plan(tmp_path / "one.npz", **CUT)
+
+
 def test_lines_of_different_sonars_are_named(short, tmp_path):
     pysas.save(tmp_path / "one.npz", short)
     others = {
@@ -371,7 +399,11 @@ def test_nothing_that_stands_there_is_overwritten(scene, tmp_path):
         survey.run("line.zarr", tmp_path / "new.zarr")
     with pytest.raises(TypeError, match=r"client=str: expected a distributed\.Client"):
         survey.run(plan, tmp_path / "new.zarr", client="tcp://127.0.0.1:8786")
-    assert tree(source) == before and tree(tmp_path / "letters.zarr") == {"zarr.json": b"{}"}
+    shutil.copytree(source, tmp_path / "other.zarr")  # a line that this survey does not read
+    with pytest.raises(ValueError, match=r"other\.zarr: exists and holds no images but 'pysas-echoes-1': expected a new name"):
+        survey.run(plan, tmp_path / "other.zarr", overwrite=True)
+    assert tree(source) == tree(tmp_path / "other.zarr") == before
+    assert tree(tmp_path / "letters.zarr") == {"zarr.json": b"{}"}
     other = survey.plan(source, **CUT | {"tile": 8.0})
     assert survey.run(other, store, overwrite=True).complete and tree(store) != whole
 

@@ -19,6 +19,7 @@ from pysas.imaging.words import spoken
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.planning import framing
+from pysas.signal import compression
 from pysas.survey.strips import Strip
 from pysas.survey.tiling import Settings, StripPlan, begun, digest_of, extended
 
@@ -241,9 +242,18 @@ class Cut:
         with named(path):
             return self._strips(number, path, echoes)
 
+    def _require_window(self, echoes: Echoes) -> None:
+        """Raise now what compression of raw echoes would raise in every section."""
+        window = self.settings.window
+        if not echoes.compressed:
+            compression.compress(echoes[:1], window, threads=1)  # of zeros
+        elif window is not None:
+            raise ValueError(f"window={window!r}: its echoes are compressed: expected raw ones")
+
     def _strips(self, number: int, line: str, echoes: Echoes) -> list[StripPlan]:
         if echoes.beam is None:
             raise ValueError("no beam: expected echoes with one, without it every ping lights the whole line")
+        self._require_window(echoes)
         track = _straight(echoes)
         depth_map, z = None, self.z
         if self.depth_map is not None:
@@ -316,6 +326,8 @@ def _straight(echoes: Echoes) -> framing.Course:
     if track.sailed < 0:
         track = replace(track, rotation=float(np.pi), places=-track.places, sailed=1.0)
     x = track.places[:, 0]
+    if not np.ptp(x) > 0:
+        raise ValueError("the line does not advance: expected pings at two places or more, which tell its direction")
     back = np.maximum.accumulate(x) - x
     if back.max() > _BACK:
         ping = int(np.argmax(back > _BACK))
@@ -375,7 +387,7 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
         made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
     if made.silent:
         raise ValueError(f"{plan.line}: nothing to {plan.side}: {made.silent}")
-    tile = plan.y.size * plan.columns * 8
+    tile = plan.y.size * plan.columns * navigation.dtype.itemsize
     pending = ((dear.high - dear.low) // plan.columns + 2 + 3) * tile  # those to come, and one being written
     pings = some.data.size * some.dtype.itemsize * (2 if some.compressed else 4)  # the next block is read meanwhile
     return made.predicted_seconds * sum(weights) / max(weights), made.predicted_memory + pending + pings + _PROCESS

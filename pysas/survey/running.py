@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from pysas.formats import files, stores
 from pysas.formats.echo_store import open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
-from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
+from pysas.survey.image_store import FAILED, SCHEMA, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
 from pysas.survey.sections import Made, close_lines, image_section, made, recorded
 from pysas.survey.tiling import StripPlan, require_navigation
@@ -129,7 +130,7 @@ def run(
     Raises
     ------
     ValueError, TypeError
-        Another suffix or client, something else of that name, a line that is read.
+        Another suffix or client, something else of that name (echoes too, which nothing would bring back), a line that is read.
     OSError, MemoryError, ConnectionError
         From the file system (a full disk), and where the cluster is gone. `resume` goes on from there.
 
@@ -156,6 +157,8 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     for line in {Path(os.path.realpath(strip.line)) for strip in plan.strips}:
         if target == line or target in line.parents or line in target.parents:
             raise ValueError(f"{text}: is, holds or lies in {line}, which is read by this survey: expected another name")
+    if target.exists() and (schema := json.loads((target / "zarr.json").read_bytes())["attributes"]["schema"]) != SCHEMA:
+        raise ValueError(f"{text}: exists and holds no images but {schema!r:.60}: expected a new name")
     header = {
         "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
     }  # fmt: skip

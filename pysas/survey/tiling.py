@@ -249,24 +249,35 @@ def extended(plan: StripPlan, navigation: Echoes, complete: bool) -> StripPlan:
     complete : bool
         No ping is to come.
 
+    Warns
+    -----
+    UserWarning
+        A block begins no earlier than the tiles that blocks before have completed: what it lights there is left out.
+
     Notes
     -----
-    O(pings). A block begins no earlier than the tiles that blocks before have completed: what it lights there is left out.
+    O(pings).
     """
     strip = plan.strip(1, reaching=True)
     blocks = list(plan.blocks)
     begin = blocks[-1].last if blocks else 0
     final = blocks[-1].final if blocks else 0
+    late, where = 0, (0, 0)  # columns that are left out, at most, and by which pings
     for first, last in _spans(plan, navigation, begin, complete):
         some = navigation[first:last]
         reaches = reaches_along(plan.laid(some), strip)
         low, high = columns_of(reaches, strip)
         lit = [end for end in reaches if end is not None]
+        if lit and (without := min(high, final * plan.columns) - low) > late:
+            late, where = without, (first, last)
         low = max(low, final * plan.columns)
         if lit:
             behind = (lit[-1][0] - SLACK - plan.start) / (plan.step * plan.columns)
             final = max(final, int(np.floor(behind - 1e-9)))
         blocks.append(Block(first, last, low, max(low, high), final, navigation_digest(some)))
+    if late > 0:
+        left = f"light {late * plan.step:.3g} m of {plan.name} that are complete by then, others less: left out there"
+        _checks.warn(f"{plan.line}: pings {where[0]} to {where[1] - 1} {left}, by yaw or as their footprint grows")
     tiles = max((-(-block.high // plan.columns) for block in blocks if block.high > block.low), default=0)
     if complete and blocks:
         blocks[-1] = dataclasses.replace(blocks[-1], final=tiles)
