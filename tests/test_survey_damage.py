@@ -11,7 +11,7 @@ import zarr
 from survey_scenes import line
 
 import pysas
-from pysas import survey
+from pysas import cli, survey
 from pysas.survey.image_store import StripHeader, SurveyStore, create
 
 pytestmark = pytest.mark.cpp  # with either engine the same is tested
@@ -348,3 +348,28 @@ def test_a_store_that_grew_is_the_one_that_was_created_so(scene, tmp_path, monke
     found = tree(tmp_path / "killed.zarr")
     assert {name for name in found if found[name] != before.get(name)} <= {f"{STRIP}/x/c.0"}  # places of columns to come
     assert np.array_equal(SurveyStore(tmp_path / "killed.zarr").strips[0].x, strip.x[:280])
+
+
+# The command line
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["line.zarr", "--verify"], "--verify: LINE: expected none"),
+        (["--verify", "--tol", "1e-3"], "--verify: --tol: expected none"),
+        (["--verify", "--depth-map", "map.npz"], "--verify: --depth-map: expected none"),
+        (["--verify", "--resume"], "--verify: --resume: expected none"),
+        (["--verify", "--report", "page.html"], "--verify: --report: expected none"),
+        (["--verify", "--scheduler", "tcp://127.0.0.1:1"], "--verify: --scheduler: expected none"),
+        (["--verify", "--threads", "1"], "--verify: --threads: expected none"),
+        (["line.zarr", "--plan", "--resume"], "--plan: --resume: expected none"),
+        (["line.zarr", "--plan", "--scheduler", "tcp://127.0.0.1:1"], "--plan: --scheduler: expected none"),
+        (["line.zarr", "--patience", "3"], "--patience: expected with --follow"),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(options, message, copies, capsys):
+    _, store, _ = copies
+    before = tree(store)
+    assert cli.main(["survey", *options, "-o", str(store)]) == 2
+    assert message in capsys.readouterr().err and tree(store) == before

@@ -71,6 +71,7 @@ def _pixel(text: str) -> tuple[float, float]:
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 where tiles fail or are damaged."""
     options = {name: value for name in _PLANNED if (value := getattr(arguments, name)) is not None}
+    _require_used(arguments, options)
     _require_places(arguments)
     if arguments.plan:
         made = plan(_lines(arguments), threads=arguments.threads, **options)
@@ -88,6 +89,18 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         page(arguments.output, report, arguments.report, overwrite=arguments.overwrite or arguments.resume)
     print(json.dumps(report.as_dict()) if arguments.json else report)
     return int(bool(report.failed or report.lost))
+
+
+def _require_used(arguments: argparse.Namespace, options: dict[str, Any]) -> None:
+    """Raise ValueError for what would do nothing."""
+    given = {name for name in ("scheduler", "patience", "resume", "report") if getattr(arguments, name)}
+    if arguments.verify:
+        given |= {*options, *(name for name in ("lines", "threads", "overwrite") if getattr(arguments, name))}
+    if (arguments.plan or arguments.verify) and given:
+        names = ["LINE" if name == "lines" else f"--{name.replace('_', '-')}" for name in sorted(given)]
+        raise ValueError(f"--{'plan' if arguments.plan else 'verify'}: {', '.join(names)}: expected none with it")
+    if arguments.patience is not None and not arguments.follow:
+        raise ValueError("--patience: expected with --follow")
 
 
 def _require_places(arguments: argparse.Namespace) -> None:
