@@ -373,3 +373,15 @@ def test_options_that_would_do_nothing_are_refused(options, message, copies, cap
     before = tree(store)
     assert cli.main(["survey", *options, "-o", str(store)]) == 2
     assert message in capsys.readouterr().err and tree(store) == before
+
+
+def test_an_output_that_cannot_be_is_told_before_lines_are_planned(copies, tmp_path, capsys):
+    """Planning takes 13 s of a long line, and a follower waits for 100 m of track."""
+    path, store, _ = copies
+    for place, message in ((store, "out.zarr: exists"), (path, "line.zarr: exists"), (tmp_path / "a.tif", "ends in .zarr")):
+        assert cli.main(["survey", "not there.npz", "-o", str(place)]) == 2
+        assert message in capsys.readouterr().err
+        assert cli.main(["survey", "not there.zarr", "-o", str(place), "--follow", "--patience", "0.01"]) == 2
+        assert message in capsys.readouterr().err
+    assert cli.main(["survey", "-o", str(tmp_path / "none.zarr"), "--resume"]) == 2
+    assert "none.zarr" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from pysas.engine import BACKENDS
 from pysas.planning.framing import SIDES
 from pysas.survey import SurveyPlan, SurveyReport, follow, overview, page, plan, resume, run, verify
 from pysas.survey.lines import SECTION, TILE
-from pysas.survey.running import require_same
+from pysas.survey.running import require_place, require_same
 
 _PATIENCE = 10.0  # s for a scheduler's answer
 # options that a plan is made from, by their names in Python
@@ -130,10 +130,12 @@ def _report(arguments: argparse.Namespace, options: dict[str, Any], progress: Pr
     there = arguments.resume and os.path.exists(output)
     if arguments.follow:
         return _followed(arguments, options, there, client)
-    if there and not arguments.lines:
+    if arguments.resume and not arguments.lines:
         if options:
             raise ValueError(f"--resume: {', '.join(options)}: expected with LINEs, or none: the store has its plan")
         return resume(output, client=client, threads=threads, progress=progress.step("imaging"))
+    if not there:  # before the time that a plan takes
+        require_place(output, overwrite=arguments.overwrite)
     made = plan(_lines(arguments), threads=threads, **options)
     if there:
         require_same(made, output)

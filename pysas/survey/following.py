@@ -18,7 +18,7 @@ from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.image_store import SurveyStore
 from pysas.survey.lines import Cut, SurveyPlan, named
-from pysas.survey.running import SurveyReport, begin, placed, plan_of, resume
+from pysas.survey.running import SurveyReport, begin, placed, plan_of, require_place, resume
 from pysas.survey.sections import Section, reading
 from pysas.survey.tiling import StripPlan, begun, extended, require_navigation
 
@@ -82,6 +82,7 @@ def follow(
         _require_line(plans, text, store.path)
         report = resume(path, threads=threads)
     else:
+        require_place(path, overwrite=overwrite)
         plans = _first(Cut.of(**options), text, waiting)
         begin(SurveyPlan(tuple(plans), (0.0,) * len(plans), 0, _checks.threads(threads)), path, overwrite=overwrite)
         report = SurveyReport(files.name(path), 0, 0, 0.0)

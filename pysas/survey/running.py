@@ -147,6 +147,20 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     """A new store of a plan, without any tile; returns its name."""
     if not isinstance(plan, SurveyPlan):
         raise TypeError(f"plan={type(plan).__name__}: expected what pysas.survey.plan returns")
+    text, target = files.name(path), require_place(path, overwrite=overwrite)
+    for line in {Path(os.path.realpath(strip.line)) for strip in plan.strips}:
+        if target == line or target in line.parents or line in target.parents:
+            raise ValueError(f"{text}: is, holds or lies in {line}, which is read by this survey: expected another name")
+    header = {
+        "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
+    }  # fmt: skip
+    with placed(text), stores.replacing(text, overwrite=overwrite) as folder:
+        create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
+    return text
+
+
+def require_place(path: str | os.PathLike[str], *, overwrite: bool) -> Path:
+    """Where a store of images of this name goes; raises ValueError or OSError where it cannot."""
     text = files.name(path)
     if Path(text).suffix.lower() != stores.SUFFIX:
         raise ValueError(f"{text}: expected a name that ends in {stores.SUFFIX}")
@@ -154,17 +168,9 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
         target = stores.check_output(text, overwrite)
     except FileExistsError:
         raise FileExistsError(f"{text}: exists: expected a new name, or --resume or --overwrite") from None
-    for line in {Path(os.path.realpath(strip.line)) for strip in plan.strips}:
-        if target == line or target in line.parents or line in target.parents:
-            raise ValueError(f"{text}: is, holds or lies in {line}, which is read by this survey: expected another name")
     if target.exists() and (schema := json.loads((target / "zarr.json").read_bytes())["attributes"]["schema"]) != SCHEMA:
         raise ValueError(f"{text}: exists and holds no images but {schema!r:.60}: expected a new name")
-    header = {
-        "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
-    }  # fmt: skip
-    with placed(text), stores.replacing(text, overwrite=overwrite) as folder:
-        create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
-    return text
+    return target
 
 
 def resume(
