@@ -1,5 +1,7 @@
 """A line of a survey: noise of the band and point targets, on any heading, written as a file of echoes."""
 
+import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -50,3 +52,12 @@ def line(
         for first in range(0, pings, 48):
             writer.append(echoes[first : first + 48])
     return echoes
+
+
+def changed(store, **changes):
+    """Attributes of a store other than they were, with their checksum."""
+    path = store / "zarr.json"
+    group = json.loads(path.read_bytes())
+    attributes = {name: value for name, value in (group["attributes"] | changes).items() if name != "crc32"}
+    text = json.dumps(attributes, sort_keys=True, separators=(",", ":"))
+    path.write_text(json.dumps(group | {"attributes": attributes | {"crc32": zlib.crc32(text.encode())}}))

@@ -87,7 +87,7 @@ MISTAKES = {
     "no output": (["one.zarr"], "-o: missing"),
     "no such line": (["three.zarr", "-o", "a.zarr"], "three.zarr"),
     "suffix": (["one.zarr", "-o", "a.npz", *CUT], r"a.npz: expected a name that ends in .zarr"),
-    "input": (["one.zarr", "-o", "one.zarr", "--overwrite", *CUT], "holds no images"),
+    "input": (["one.zarr", "-o", "one.zarr", "--overwrite", *CUT], "is no store of images"),
     "something else": (["one.zarr", "-o", "folder.zarr", "--overwrite", *CUT], "folder.zarr: exists and is no store"),
     "both": (["one.zarr", "-o", "a.zarr", "--resume", "--overwrite", *CUT], "--resume, --overwrite"),
     "picture": (["one.zarr", "-o", "a.zarr", "--png", "a.png", *CUT], "--png: expected with --plan"),

@@ -505,7 +505,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "suffix": ({"output": "m.png"}, "found suffix '.png', expected .tif, .nc or .zarr"),
     "inside": ({"output": "s.zarr/m.tif"}, "lies in the store"),
     "the store": ({"output": "s.zarr", "overwrite": True}, "lies in the store"),
-    "another store": ({"output": "other.zarr", "overwrite": True}, "is no mosaic but 'pysas-survey-1'"),
+    "another store": ({"output": "other.zarr", "overwrite": True}, "is no store of mosaics but 'pysas-survey-1'"),
     "no folder": ({"output": "nowhere/m.tif"}, "no such folder"),
     "no mosaic": ({"output": "full.zarr", "overwrite": True}, "exists and is no store"),
 }

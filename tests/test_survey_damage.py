@@ -1,5 +1,6 @@
 """Surveys of bad pings and damaged files: tiles fail alone and with a reason, damage is named, and resume mends what it can."""
 
+import functools
 import json
 import os
 import shutil
@@ -8,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 import zarr
-from survey_scenes import line
+from survey_scenes import changed, line
 
 import pysas
 from pysas import cli, survey
@@ -348,6 +349,27 @@ def test_a_store_that_grew_is_the_one_that_was_created_so(scene, tmp_path, monke
     found = tree(tmp_path / "killed.zarr")
     assert {name for name in found if found[name] != before.get(name)} <= {f"{STRIP}/x/c.0"}  # places of columns to come
     assert np.array_equal(SurveyStore(tmp_path / "killed.zarr").strips[0].x, strip.x[:280])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"section": 0}, {"section": "a"}, {"step": 0}, {"z": "a"}, {"z": None}, {"line": 3}, {"origin": [1]},
+        {"rotation": None}, {"track": None}, {"complete": "a"}, {"blocks": []}, {"settings": {"unknown": 1}},
+        {"blocks": [{"first": 0, "last": 10, "low": 0, "high": -1, "final": 3, "navigation": ""}]},
+        {"blocks": [{"first": 5, "last": 10, "low": 0, "high": 40, "final": 0, "navigation": ""}]},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_plan_that_cannot_be_is_named(change, scene, tmp_path):
+    """Its checksum is right: someone wrote it so."""
+    shutil.copytree(scene[0] / "out.zarr", tmp_path / "out.zarr")
+    changed(tmp_path / "out.zarr" / STRIP, **change)
+    report = survey.SurveyReport("out.zarr", 1, 0, 0.0)
+    page = functools.partial(survey.page, report=report, path=tmp_path / "page.html")
+    for what in (survey.resume, survey.verify, page):
+        with pytest.raises(ValueError, match=r"out\.zarr: 000-port: "):
+            what(tmp_path / "out.zarr")
 
 
 # The command line

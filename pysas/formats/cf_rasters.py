@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ from pysas import _checks
 from pysas.formats import files, rasters, stores
 from pysas.formats.rasters import WINDOW, Raster
 
-SCHEMA = "pysas-mosaic-1"
 _FILL = np.float32(np.nan)
 
 
@@ -50,7 +47,7 @@ def write_zarr(path: str | os.PathLike[str], raster: Raster, *, overwrite: bool 
     """The same in a Zarr v3 group."""
     rasters.require_libraries(path)
     require_place(path, overwrite)
-    with stores.replacing(path, overwrite=overwrite) as folder, _one_thread():
+    with stores.replacing(path, overwrite=overwrite, what="mosaics") as folder, _one_thread():
         encoding = {"_FillValue": _FILL, "chunks": (WINDOW, WINDOW)}
         _dataset(raster).to_zarr(
             folder, mode="w-", zarr_format=3, consolidated=False, encoding={"magnitude": encoding, **_plain()}
@@ -59,11 +56,7 @@ def write_zarr(path: str | os.PathLike[str], raster: Raster, *, overwrite: bool 
 
 def require_place(path: str | os.PathLike[str], overwrite: bool) -> None:
     """Raise now what writing a Zarr group of this name would: of stores, a mosaic alone is replaced."""
-    target = stores.check_output(path, overwrite)
-    if target.exists():
-        schema = json.loads(Path(target, "zarr.json").read_bytes())["attributes"]["schema"]
-        if schema != SCHEMA:
-            raise ValueError(f"{files.name(path)}: exists and is no mosaic but {schema!r:.60}: expected a new name")
+    stores.check_output(path, overwrite, "mosaics")
 
 
 def _plain() -> dict[str, Any]:
@@ -95,5 +88,5 @@ def _dataset(raster: Raster) -> Any:
     if raster.crs is not None:
         magnitude["grid_mapping"] = "crs"
         variables["crs"] = ((), np.int32(0), raster.crs.to_cf())
-    attributes: dict[str, Any] = {"Conventions": "CF-1.10", "schema": SCHEMA, **raster.attributes}
+    attributes: dict[str, Any] = {"Conventions": "CF-1.10", "schema": stores.HOLDS["mosaics"], **raster.attributes}
     return xarray.Dataset(variables, coords=along, attrs=attributes)

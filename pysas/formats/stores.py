@@ -30,6 +30,7 @@ from pysas.formats import files
 from pysas.formats.fields import Array, File, allocated, blamed
 
 SUFFIX = ".zarr"
+HOLDS = {"echoes": "pysas-echoes-1", "images": "pysas-survey-1", "mosaics": "pysas-mosaic-1"}  # schemas of stores
 PING = "ping"
 Named = Mapping[str, tuple[tuple[str, ...], Array]]  # arrays with the names of their axes
 
@@ -294,19 +295,19 @@ class Growing:
 
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
+def replacing(path: str | os.PathLike[str], *, overwrite: bool, what: str = "echoes") -> Iterator[Path]:
     """The name for a new folder, which takes the place of `path` when the block ends, and is gone when the block fails.
 
     A killed process leaves a `.pysas-*.part.zarr` beside the target, and the store that was there as `.old` of that name if
     killed between two renames. Only a store that can be told to be one is replaced; the new one has its permissions.
     """
-    target = check_output(path, overwrite)
+    target = check_output(path, overwrite, what)
     part = target.parent / f".pysas-{os.getpid()}-{secrets.token_hex(4)}.part{SUFFIX}"
     try:
         with writing(path):
             yield part
             if target.exists():
-                _exchange(part, check_output(path, overwrite))
+                _exchange(part, check_output(path, overwrite, what))
             else:
                 os.rename(part, target)
     except BaseException:
@@ -337,15 +338,16 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, files.name(path)) from error
 
 
-def check_output(path: str | os.PathLike[str], overwrite: bool) -> Path:
-    """Where a store of this name goes, once nothing stands there that must not be replaced."""
+def check_output(path: str | os.PathLike[str], overwrite: bool, what: str = "echoes") -> Path:
+    """Where a store of this name goes, once nothing stands there that must not be replaced: only one of the same holdings."""
     text = files.name(path)
     target = Path(os.path.realpath(text))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{text}: no such folder: {target.parent}")
     if target.exists():
-        if not _is_store(target):
-            raise ValueError(f"{text}: exists and is no store of echoes: expected a new name")
+        if (found := _schema_of(target)) != HOLDS[what]:
+            but = "" if found is None else f" but {found!r:.60}"
+            raise ValueError(f"{text}: exists and is no store of {what}{but}: expected a new name")
         if not overwrite:
             raise FileExistsError(f"{text}: exists: expected a new name")
         if not os.access(target, os.W_OK):
@@ -353,13 +355,14 @@ def check_output(path: str | os.PathLike[str], overwrite: bool) -> Path:
     return target
 
 
-def _is_store(folder: Path) -> bool:
+def _schema_of(folder: Path) -> str | None:
+    """What a store says that it holds."""
     try:
         require_header(folder)
         schema = json.loads((folder / "zarr.json").read_bytes())["attributes"]["schema"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return False
-    return isinstance(schema, str) and schema.startswith("pysas-")
+        return None
+    return schema if isinstance(schema, str) else None
 
 
 def local(folder: Path, *, read_only: bool = False) -> Any:

@@ -16,13 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from pysas import _checks
 from pysas.formats import files
 from pysas.imaging.words import spoken
 from pysas.survey import pictures
 from pysas.survey.image_store import DAMAGED, DONE, FAILED, StripStore, SurveyStore
 from pysas.survey.reducing import rows_of
-from pysas.survey.running import SurveyReport, spans
+from pysas.survey.running import SurveyReport, plan_of, spans
 from pysas.survey.tiling import StripPlan
 
 _SUFFIXES = ".html", ".htm"
@@ -84,7 +83,7 @@ def page(
         if not overwrite and os.path.lexists(target):
             raise FileExistsError(f"{target}: exists: expected a new name, or overwrite=True")
     opened = SurveyStore(store)
-    plans = [_plan(opened, strip) for strip in opened.strips]
+    plans = [plan_of(opened, strip) for strip in opened.strips]
     tiles = [_Tiles(strip) for strip in opened.strips]
     shown = _quicklooks(plans, opened.strips, tiles) if pictures.drawable() else None
     map_shown = pictures.coverage(plans, [of_strip.states for of_strip in tiles]) if shown is not None else None
@@ -156,24 +155,6 @@ def _predicted(found: Any) -> dict[str, float]:
 
 def _finite(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
-
-
-def _plan(store: SurveyStore, strip: StripStore) -> StripPlan:
-    """The plan of a strip, whose numbers are those of its arrays. Lines are not looked at: they may be elsewhere."""
-    try:
-        plan = StripPlan.of(strip.attributes, strip.y)
-        for name in ("rotation", "start", "step", "track"):
-            _checks.number(name, getattr(plan, name), positive=name == "step")
-        _checks.reals("origin", plan.origin, [(2,)])
-        if plan.z is not None:
-            _checks.number("z", plan.z)
-        if (plan.tiles, plan.columns, plan.name) != (strip.tiles, strip.columns, strip.name):
-            raise ValueError(f"found {plan.tiles} tiles of {plan.columns} columns, its arrays have {strip.tiles}")
-        if not all(isinstance(value, str) for value in (plan.line, plan.side)):
-            raise ValueError("line, side: expected names")
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
-    return plan
 
 
 def _quicklooks(plans: Sequence[StripPlan], strips: Sequence[StripStore], tiles: Sequence[_Tiles]) -> list[tuple[bytes, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from pysas.formats import files, stores
 from pysas.formats.echo_store import open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
-from pysas.survey.image_store import FAILED, SCHEMA, StripHeader, StripStore, SurveyStore, create
+from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
 from pysas.survey.sections import Made, close_lines, image_section, made, recorded
 from pysas.survey.tiling import StripPlan, require_navigation
@@ -154,7 +153,7 @@ def begin(plan: SurveyPlan, path: str | os.PathLike[str], *, overwrite: bool) ->
     header = {
         "version": __version__, "predicted": {"seconds": sum(plan.seconds), "memory": plan.memory, "threads": plan.threads},
     }  # fmt: skip
-    with placed(text), stores.replacing(text, overwrite=overwrite) as folder:
+    with placed(text), stores.replacing(text, overwrite=overwrite, what="images") as folder:
         create(folder, header, [StripHeader(s.name, s.attributes(), s.x, s.y, s.columns) for s in plan.strips])
     return text
 
@@ -165,11 +164,9 @@ def require_place(path: str | os.PathLike[str], *, overwrite: bool) -> Path:
     if Path(text).suffix.lower() != stores.SUFFIX:
         raise ValueError(f"{text}: expected a name that ends in {stores.SUFFIX}")
     try:
-        target = stores.check_output(text, overwrite)
+        target = stores.check_output(text, overwrite, "images")
     except FileExistsError:
         raise FileExistsError(f"{text}: exists: expected a new name, or --resume or --overwrite") from None
-    if target.exists() and (schema := json.loads((target / "zarr.json").read_bytes())["attributes"]["schema"]) != SCHEMA:
-        raise ValueError(f"{text}: exists and holds no images but {schema!r:.60}: expected a new name")
     return target
 
 
@@ -279,11 +276,38 @@ def plans_of(store: SurveyStore) -> list[StripPlan]:
 
 
 def plan_of(store: SurveyStore, strip: StripStore) -> StripPlan:
-    """The plan of a stored strip."""
+    """The plan of a stored strip, whose numbers are those of its arrays."""
     try:
-        return StripPlan.of(strip.attributes, strip.y)
+        plan = StripPlan.of(strip.attributes, strip.y)
+        for name in ("rotation", "start", "step", "track"):
+            _checks.number(name, getattr(plan, name), positive=name == "step")
+        _checks.reals("origin", plan.origin, [(2,)])
+        _checks.whole("section", plan.section)
+        if plan.z is not None:
+            _checks.number("z", plan.z)
+        elif plan.depth_map is None:
+            raise ValueError("neither z nor depth_map")
+        if (plan.tiles, plan.columns, plan.name) != (strip.tiles, strip.columns, strip.name):
+            raise ValueError(f"found {plan.tiles} tiles of {plan.columns} columns, its arrays have {strip.tiles}")
+        if not all(isinstance(value, str) for value in (plan.line, plan.side)) or type(plan.complete) is not bool:
+            raise ValueError("line, side, complete: expected names, and true or false")
+        _require_blocks(plan)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{store.path}: {strip.name}: no plan of a strip ({error})") from error
+    return plan
+
+
+def _require_blocks(plan: StripPlan) -> None:
+    """Raise ValueError for blocks that do not follow each other, or lie beyond the strip."""
+    before = 0
+    for number, block in enumerate(plan.blocks):
+        numbers = block.first, block.last, block.low, block.high, block.final
+        good = all(type(value) is int for value in numbers) and before == block.first < block.last
+        if not (good and 0 <= block.low <= block.high and 0 <= block.final <= plan.tiles):
+            raise ValueError(f"blocks: number {number}: found {numbers}, expected pings that follow those before, and columns")
+        before = block.last
+    if not before:
+        raise ValueError("blocks: none")
 
 
 def require_same(plan: SurveyPlan, path: str | os.PathLike[str]) -> None:
