@@ -82,6 +82,50 @@ def test_failed_tiles_are_told_and_make_the_exit_code(folder, capsys):
     pysas_survey(capsys, "bad.npz", "-o", "bad.zarr", "--overwrite", "--nan", "mask", *CUT)
 
 
+def test_only_a_page_of_its_own_is_replaced_when_resumed(folder, capsys):
+    pysas_survey(capsys, "one.zarr", "-o", "one_images.zarr", "--report", "page.html", *CUT)
+    out = pysas_survey(capsys, "-o", "one_images.zarr", "--resume", "--report", "page.html").out
+    assert "nothing to do, all" in out
+    Path("notes.html").write_text("mine")
+    pysas_survey(capsys, "-o", "one_images.zarr", "--resume", "--report", "notes.html", expect=2)
+    Path("page.json").write_text('{"mine": 1}')
+    pysas_survey(capsys, "-o", "one_images.zarr", "--resume", "--report", "page.html", expect=2)
+    assert Path("notes.html").read_text() == "mine" and Path("page.json").read_text() == '{"mine": 1}'
+
+
+def test_stores_of_one_kind_never_replace_those_of_another(folder, capsys):
+    pysas_survey(capsys, "one.zarr", "-o", "one_images.zarr", *CUT)
+    echoes = pysas.load("two.zarr")
+    pysas.save("copy.zarr", echoes[:10])
+    pysas_survey(capsys, "one.zarr", "-o", "copy.zarr", "--overwrite", *CUT, expect=2)
+    assert cli.main(["convert", "copy.zarr", "one_images.zarr", "--overwrite"]) == 2
+    assert "is no store of echoes but 'pysas-survey-1'" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="is no store of echoes but 'pysas-survey-1'"):
+        pysas.EchoWriter("one_images.zarr", overwrite=True)
+    assert pysas.load("copy.zarr").n_ping == 10
+    pysas_survey(capsys, "-o", "one_images.zarr", "--verify")
+
+
+def test_what_makes_a_wrong_map_is_said(folder, capsys):
+    echoes = pysas.load("one.zarr")
+    pysas.save("low.npz", echoes.replace(attrs={}))
+    cut = [*CUT[:-2], "--plan"]
+    assert "places across the track are slant ranges" in pysas_survey(capsys, "low.npz", *cut).err
+    assert "slant ranges" not in pysas_survey(capsys, "one.zarr", *cut).err  # whose attrs tell the altitude
+    out = pysas_survey(capsys, "one.zarr", "--plan", "--z", "0", "--pixel", "0.5")
+    assert "note: 000-port: the image's Nyquist spacing is 0.034 x " in out.out and "a mosaic averages" in out.out
+    assert "note" not in pysas_survey(capsys, "one.zarr", "--plan", "--z", "0").out
+    far = pysas_survey(capsys, "one.zarr", "--plan", "--z", "0", "--swath", "10:90")
+    assert "swath to 90 m: its records reach" in far.err
+    pysas.save("other.npz", echoes.replace(attrs={"frame": {"heading": 1.0, "lat": None, "lon": None, "origin": [0, 0, 0]}}))
+    pysas.save("same.npz", echoes.replace(attrs={"frame": {"heading": 0.0, "lat": None, "lon": None, "origin": [0, 0, 0]}}))
+    x = np.array([900.0, 1200.0])
+    np.savez("map.npz", x=x, y=x + 1000, z=np.zeros((2, 2)))
+    out = pysas_survey(capsys, "same.npz", "other.npz", "--plan", "--depth-map", "map.npz", "--swath", "10:30", expect=2)
+    assert "depth_map: is in the coordinates of" in out.err
+    assert "one.zarr: given twice" in pysas_survey(capsys, "one.zarr", "one.zarr", "--plan", *CUT).err
+
+
 MISTAKES = {
     "no line": (["-o", "a.zarr"], "LINE: none"),
     "no output": (["one.zarr"], "-o: missing"),
@@ -95,6 +139,7 @@ MISTAKES = {
     "page is there": (["one.zarr", "-o", "a.zarr", "--report", "there.html", *CUT], "there.html: exists"),
     "nobody": (["one.zarr", "-o", "a.zarr", "--scheduler", "tcp://127.0.0.1:1", *CUT], "no Dask scheduler answers"),
     "verify": (["-o", "one.zarr", "--verify"], "schema: found 'pysas-echoes-1'"),
+    "nothing to resume": (["-o", "none.zarr", "--resume"], "-o none.zarr: no such store"),
     "resume": (["-o", "one.zarr", "--resume"], "schema: found 'pysas-echoes-1'"),
     "swath": (["one.zarr", "--plan", "--swath", "200:300"], "one.zarr"),
 }

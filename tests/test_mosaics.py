@@ -136,6 +136,7 @@ def test_the_chain_is_that_of_the_projection_without_pyproj(tmp_path: Path) -> N
     assert np.abs(back[0] - x).max() < 1e-6 and np.abs(back[1] - y).max() < 1e-6
 
 
+@pytest.mark.filterwarnings("ignore:crs='EPSG.3413'")  # meant for latitudes beyond 60 degrees
 @pytest.mark.parametrize("pixel", [0.025, 1.0, 4.0])
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:3857", "EPSG:3413"])
 def test_places_between_those_of_the_lattice_are_right_to_a_millimetre(pixel: float, crs: str, tmp_path: Path) -> None:
@@ -419,9 +420,11 @@ def test_zones_of_utm_and_other_maps(tmp_path: Path) -> None:
         assert mosaic(path, tmp_path / f"{zone}.tif").crs == f"EPSG:{(32600 if lat > 0 else 32700) + zone}"
     path = store(tmp_path / "s.zarr", (header(frame=FRAME), 1.0))
     area = {}
-    for crs in ("EPSG:25832", "EPSG:3857", pyproj.CRS("EPSG:3413")):
+    for crs in ("EPSG:25832", "EPSG:3857", pyproj.CRS("EPSG:3034")):
         found = mosaic(path, tmp_path / "m.tif", crs=crs, overwrite=True)
         area[found.crs] = found.coverage * found.shape[0] * found.shape[1] * found.pixel**2
+    with pytest.warns(UserWarning, match="EPSG:32701.*is meant for .*latitude 54"):
+        mosaic(path, tmp_path / "south.tif", crs="EPSG:32701")
     stretch = 1 / np.cos(np.radians(54.3)) ** 2  # of Mercator's areas, of a sphere
     assert area["EPSG:25832"] == pytest.approx(320, rel=0.01) and area["EPSG:3857"] == pytest.approx(320 * stretch, rel=0.02)
 

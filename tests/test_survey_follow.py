@@ -201,7 +201,10 @@ def test_a_line_that_was_complete_and_grows_again_is_named(echoes, tmp_path):
     before = tree(tmp_path / "images.zarr")
     with pysas.EchoWriter(tmp_path / "line.zarr", resume=True) as writer:
         writer.append(echoes[420:])
-    with pytest.raises(ValueError, match=r"line\.zarr: has 500 pings, the survey was planned when it was complete with 420"):
+    with (
+        pytest.raises(ValueError, match=r"line\.zarr: has 500 pings, the survey was planned when it was complete with 420"),
+        pytest.warns(UserWarning, match=r"line\.zarr: has 80 pings more than were planned: a new survey has them"),
+    ):
         survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", again=True)
     assert tree(tmp_path / "images.zarr") == before
 

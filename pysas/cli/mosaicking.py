@@ -22,19 +22,20 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
+    """1 where the map is empty."""
     found = mosaic(
         arguments.store, arguments.output, pixel=arguments.pixel, crs=arguments.crs, combine=arguments.combine,
         feather=arguments.feather, db=arguments.db, overwrite=arguments.overwrite, progress=progress.step("mosaic"),
     )  # fmt: skip
     if arguments.json:
         print(json.dumps(dataclasses.asdict(found)))
-        return 0
+        return int(found.coverage == 0)
     rows, columns = found.shape
     print(f"{found.output}: {columns} x {rows} pixels of {found.pixel:g} m, {found.crs or 'local metres, no CRS'}")
     print(f"  coverage   {100 * found.coverage:.1f} % of the pixels; {found.missing} of {found.tiles} tiles missing")
     if found.reference is not None:
         print(f"  255        magnitude {found.reference:.4g}, the 99.9th percentile; 1: {arguments.db:g} dB below; 0: no data")
-    return 0
+    return int(found.coverage == 0)
 
 
 COMMAND = Command("mosaic", "write the images of a survey as one map: GeoTIFF, NetCDF or Zarr", _add_arguments, _run)

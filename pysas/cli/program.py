@@ -69,6 +69,11 @@ def parser(names: Iterable[str] = _COMMANDS) -> argparse.ArgumentParser:
     return top
 
 
+def _notes(error: BaseException) -> str:
+    """What was added to an exception on its way."""
+    return "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code (0 well, 1 a failed check or an empty image, 2 an error, 130 Ctrl-C)."""
     given = _joined(sys.argv[1:] if argv is None else argv)
@@ -87,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             if sys.stdout is not None:  # closed by the caller
                 sys.stdout.flush()
             return code
-        except KeyboardInterrupt:
-            print("pysas: interrupted", file=sys.stderr)
+        except KeyboardInterrupt as error:
+            print(f"pysas: interrupted{_notes(error)}", file=sys.stderr)
             return _INTERRUPTED
         except BrokenPipeError:  # the reader, such as `head`, has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -97,5 +102,5 @@ def main(argv: Sequence[str] | None = None) -> int:
             if os.environ.get("PYSAS_DEBUG"):
                 raise
             text = " ".join(str(error).split()) or type(error).__name__
-            print(f"pysas: error: {text}", file=sys.stderr)
+            print(f"pysas: error: {text}{_notes(error)}", file=sys.stderr)
             return _ERROR

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -16,7 +17,9 @@ from pysas.cli.common import Command, Progress, add_overwrite, add_threads, requ
 from pysas.engine import BACKENDS
 from pysas.planning.framing import SIDES
 from pysas.survey import SurveyPlan, SurveyReport, follow, overview, page, plan, resume, run, verify
+from pysas.survey.following import AXES
 from pysas.survey.lines import SECTION, TILE
+from pysas.survey.pages import is_page
 from pysas.survey.running import require_place, require_same
 
 _PATIENCE = 10.0  # s for a scheduler's answer
@@ -99,6 +102,8 @@ def _require_used(arguments: argparse.Namespace, options: dict[str, Any]) -> Non
     if (arguments.plan or arguments.verify) and given:
         names = ["LINE" if name == "lines" else f"--{name.replace('_', '-')}" for name in sorted(given)]
         raise ValueError(f"--{'plan' if arguments.plan else 'verify'}: {', '.join(names)}: expected none with it")
+    if arguments.follow and (arguments.scheduler is not None or len(arguments.lines) != 1):
+        raise ValueError("--follow: expected one LINE, and no --scheduler: tiles are made as the line grows, by this process")
     if arguments.patience is not None and not arguments.follow:
         raise ValueError("--patience: expected with --follow")
 
@@ -111,7 +116,7 @@ def _require_places(arguments: argparse.Namespace) -> None:
         raise ValueError(f"--report {arguments.report}: expected a name that ends in .html")
     beside = None if arguments.report is None else str(Path(arguments.report).with_suffix(".json"))
     inputs = [*arguments.lines, arguments.depth_map]
-    again = arguments.overwrite or arguments.resume
+    again = arguments.overwrite or (arguments.resume and is_page(arguments.report))
     for text in (arguments.report, beside):
         require_places(inputs, text=text, overwrite=again)
     require_places(inputs, picture=arguments.png, overwrite=arguments.overwrite)
@@ -129,8 +134,10 @@ def _report(arguments: argparse.Namespace, options: dict[str, Any], progress: Pr
         raise ValueError("--resume, --overwrite: expected one of both")
     there = arguments.resume and os.path.exists(output)
     if arguments.follow:
-        return _followed(arguments, options, there, client)
+        return _followed(arguments, options, there)
     if arguments.resume and not arguments.lines:
+        if not there:
+            raise ValueError(f"-o {output}: no such store: expected one to go on with, or LINEs to begin it with")
         if options:
             raise ValueError(f"--resume: {', '.join(options)}: expected with LINEs, or none: the store has its plan")
         return resume(output, client=client, threads=threads, progress=progress.step("imaging"))
@@ -147,18 +154,23 @@ def _report(arguments: argparse.Namespace, options: dict[str, Any], progress: Pr
     return run(made, output, client=client, threads=threads, overwrite=arguments.overwrite, progress=step)
 
 
-def _followed(arguments: argparse.Namespace, options: dict[str, Any], there: bool, client: Any) -> SurveyReport:
-    if client is not None or len(arguments.lines) != 1:
-        raise ValueError("--follow: expected one LINE, and no --scheduler: tiles are made as the line grows, by this process")
+def _followed(arguments: argparse.Namespace, options: dict[str, Any], there: bool) -> SurveyReport:
     if there and options:
         raise ValueError(f"--follow --resume: {', '.join(options)}: expected none: the store has its plan")
 
+    line, terminal = arguments.lines[0], sys.stderr.isatty()
+
     def told(tiles: int) -> None:
         if not arguments.json:
-            print(f"\r{tiles} tiles", end="" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
+            text = f"{tiles} tile{'s' * (tiles > 1)}"
+            print(f"\r{text}" if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
+
+    if not arguments.json:
+        yet = "" if os.path.exists(line) else ", which is not there yet"
+        print(f"following {line}{yet}: tiles come once {AXES:g} m of track are there", file=sys.stderr, flush=True)
 
     return follow(
-        arguments.lines[0], arguments.output, patience=arguments.patience, threads=arguments.threads,
+        line, arguments.output, patience=arguments.patience, threads=arguments.threads,
         overwrite=arguments.overwrite, again=there, progress=told, **options,
     )  # fmt: skip
 
@@ -190,6 +202,7 @@ def _client(address: str | None) -> Iterator[Any]:
         import distributed
     except ImportError:
         raise _checks.optional("distributed", "survey") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it has to say is told in one line
     try:
         client: Any = distributed.Client(address, timeout=_PATIENCE)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:

@@ -67,12 +67,20 @@ class SurveyPlan:
     memory : int
         Bytes that one process needs, predicted.
     threads : int
+    notes : tuple of str
+        What a person should know: pixels too coarse for the image.
     """
 
     strips: tuple[StripPlan, ...]
     seconds: tuple[float, ...]
     memory: int
     threads: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def bytes(self) -> int:
+        """What the pixels take in a store."""
+        return sum(12 * strip.tiles * strip.columns * strip.y.size for strip in self.strips)
 
     @property
     def tiles(self) -> list[Tile]:
@@ -101,7 +109,7 @@ class SurveyPlan:
         lines = [
             f"survey of {count} line{'s' * (count > 1)}: {sum(strip.tiles for strip in self.strips)} tiles, "
             f"{sum(s.tiles * s.columns * s.y.size for s in self.strips):.3g} pixels; predicted {spoken(sum(self.seconds))} on "
-            f"{self.threads} threads, {self.memory / 1e6:.0f} MB a process"
+            f"{self.threads} threads, {self.memory / 1e6:.0f} MB a process, a store of {self.bytes / 1e9:.2g} GB"
         ]
         for strip, seconds in zip(self.strips, self.seconds, strict=True):
             near, far = sorted((abs(float(strip.y[0]) - strip.track), abs(float(strip.y[-1]) - strip.track)))
@@ -110,7 +118,7 @@ class SurveyPlan:
                 f"  {strip.name}: {strip.line}, {near:.4g} to {far:.4g} m to {strip.side}, {height}: {strip.tiles} tiles of "
                 f"{strip.columns} x {strip.y.size} pixels every {strip.step:g} m, {spoken(seconds)}"
             )
-        return "\n".join(lines)
+        return "\n".join(lines + [f"  note: {note}" for note in self.notes])
 
 
 @_checks.usual_errors
@@ -184,12 +192,16 @@ def plan(
     )  # fmt: skip
     count = _checks.threads(threads)
     strips: list[StripPlan] = []
+    notes: list[str] = []
     seconds, memory, first = [], 0.0, None
     for number, path in enumerate(paths):
         with open_echoes(path) as store:
             if first is not None:
                 _require_same_sonar(first, store)
+                _require_one_map(depth_map, first, store)
             first = first or store
+            if paths.index(path) < number:
+                _checks.warn(f"{store.path}: given twice")
             if not store.complete:
                 _checks.warn(
                     f"{store.path}: not complete: its recorder adds pings, or was ended; the {store.n_ping} there count"
@@ -199,10 +211,11 @@ def plan(
                     whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
                     whole.require_heights()
                 cost = _cost(whole, store.navigation, count)
+                notes += _coarse(whole, store.navigation)
                 strips.append(whole)
                 seconds.append(cost[0])
                 memory = max(memory, cost[1])
-    return SurveyPlan(tuple(strips), tuple(seconds), round(memory), count)
+    return SurveyPlan(tuple(strips), tuple(seconds), round(memory), count, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -263,13 +276,15 @@ class Cut:
             level = float(np.median(heights[2]))
         elif z is None:
             z, why = framing.assumed_height(echoes, self.altitude)
-            if self.altitude is None and "altitude" not in echoes.attrs and framing.height_matters(echoes):
-                _checks.warn(f"{line}: {why}")
+            if self.altitude is None and "altitude" not in echoes.attrs:
+                _checks.warn(f"{line}: {why}; places across the track are slant ranges, and a map of them is wrong")
             level = z
         else:
             level = z = _checks.number("z", z)
-        sides, swath, spacing = framing.swath_beside(echoes, track, level, self.side)
-        swath, (step, across) = self.swath or swath, self.pixel or spacing
+        sides, recorded, spacing = framing.swath_beside(echoes, track, level, self.side)
+        swath, (step, across) = self.swath or recorded, self.pixel or spacing
+        if swath[0] < recorded[1] < swath[1] / 1.2:
+            _checks.warn(f"{line}: swath to {swath[1]:g} m: its records reach {recorded[1]:.4g} m, pixels beyond will be empty")
         middle = round(float(np.mean(track.places[:, 1])) / across) * across
         away = framing.span(*swath, across)
         columns = min(max(round(self.tile / step), 1), _MOST_TILE // (8 * away.size))
@@ -347,6 +362,33 @@ def _straight(echoes: Echoes) -> framing.Course:
             f"to {np.degrees(_TURN):.0f}; pysas convert --pings cuts them"
         )
     return track
+
+
+def _require_one_map(depth_map: Any, first: EchoStore, other: EchoStore) -> None:
+    """A depth map is in the coordinates of the lines, which have to be the same."""
+    one, two = (store.navigation.attrs.get("frame") for store in (first, other))
+    if depth_map is not None and one != two:
+        raise ValueError(
+            f"depth_map: is in the coordinates of {first.path}, and those of {other.path} are others by attrs['frame']: "
+            "expected lines in one frame, or a survey for each"
+        )
+
+
+def _coarse(plan: StripPlan, echoes: Echoes) -> list[str]:
+    """What pixels that are farther apart than the image's Nyquist spacing lose, in words."""
+    c, beam = echoes.mean_speed, echoes.beam
+    if beam is None:
+        raise _checks.InternalError("no beam")
+    sine = min(c / echoes.fc / beam.length, float(np.sin(min(beam.half_angle, np.pi / 2))))  # its first null, or its end
+    finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
+    needed = finest / (2 * sine), 1 / (2 * echoes.occupied_bandwidth / c + (1 - np.sqrt(1 - sine**2)) / finest)
+    across = float(np.diff(plan.y).min()) if plan.y.size > 1 else 0.0
+    if plan.step <= 1.5 * needed[0] and across <= 1.5 * needed[1]:
+        return []
+    return [
+        f"{plan.name}: the image's Nyquist spacing is {needed[0]:.2g} x {needed[1]:.2g} m: of points between pixels of "
+        f"{plan.step:g} x {across:g} m little may be left; a mosaic averages, and takes any coarser pixel"
+    ]
 
 
 def _require_same_sonar(first: EchoStore, other: EchoStore) -> None:

@@ -12,6 +12,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,17 @@ td.n { text-align: right; font-variant-numeric: tabular-nums; } td:last-child { 
 img { max-width: 100%; } img.map { max-width: 52em; }
 .bad { color: #b00; font-weight: bold; } .good { color: #1e7a1e; font-weight: bold; }
 """
+_MARK = '<meta name="generator" content="pysas survey">'
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+def is_page(path: str | os.PathLike[str] | None) -> bool:
+    """Whether a file is one that `page` wrote, with nothing but the same beside it."""
+    try:
+        with files.opened(path or "") as page, files.opened(Path(path or "").with_suffix(".json")) as beside:
+            return _MARK.encode() in page.read(1024) and json.loads(beside.read(2**26)).keys() >= {"store", "version", "tiles"}
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 def page(
@@ -196,7 +207,7 @@ def _html(
     strips = values["strips"]
     title = f"Survey {os.path.basename(os.path.normpath(report.path))}"
     parts = [
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{_safe(title)}</title>',
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{_MARK}<title>{_safe(title)}</title>',
         f'<meta http-equiv="Content-Security-Policy" content="{_safe(_POLICY)}">',
         f"<style>{_STYLE}</style></head><body>\n<h1>{_safe(title)}</h1>\n{_verdict(values)}",
         *_totals(values, report),

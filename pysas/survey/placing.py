@@ -202,6 +202,7 @@ def chart(strips: Sequence[StripStore], crs: Any) -> Chart:
     found = projected(name)
     transformer = pyproj.Transformer.from_crs("EPSG:4326", found, always_xy=True)
     bounds = []
+    _warn_of_area(found, name, places)
     for place in places:
         place.put_on(transformer)
         try:
@@ -209,6 +210,19 @@ def chart(strips: Sequence[StripStore], crs: Any) -> Chart:
         except ValueError as error:
             raise ValueError(f"crs={name!r:.60}: {error}") from None
     return Chart(found, ("easting", "northing"), places, np.array(bounds))
+
+
+def _warn_of_area(crs: Any, name: Any, places: Sequence[Place]) -> None:
+    area = crs.area_of_use
+    lat, lon = _middle(places)
+    if area is not None and not (area.south <= lat <= area.north and _within(lon, area.west, area.east)):
+        where = f"latitude {lat:.3f}, longitude {lon:.3f}"
+        _checks.warn(f"crs={name!r:.60}: {crs.name} is meant for {area.name:.120}, the survey lies at {where}")
+
+
+def _within(lon: float, west: float, east: float) -> bool:
+    """Whether a meridian lies between two, eastwards from the first."""
+    return (lon - west) % 360 <= (east - west) % 360 or (east - west) % 360 == 0
 
 
 def projected(crs: Any) -> Any:
@@ -231,13 +245,18 @@ def projected(crs: Any) -> Any:
 
 def _utm(places: Sequence[Place]) -> str:
     """The zone of UTM about the middle of all corners."""
-    middle = np.concatenate([place.corners() for place in places]).mean(axis=0)
-    lat, lon, _ = (float(value) for value in ellipsoid.from_earth(middle))
+    lat, lon = _middle(places)
     low, high = _UTM_LATITUDES
     if not low <= lat <= high:
         raise ValueError(f"crs=None: the survey lies at latitude {lat:.3f}, beyond UTM: expected a CRS for there")
     zone = int((lon + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"
+
+
+def _middle(places: Sequence[Place]) -> tuple[float, float]:
+    """Latitude and longitude of the middle of all corners."""
+    lat, lon, _ = ellipsoid.from_earth(np.concatenate([place.corners() for place in places]).mean(axis=0))
+    return float(lat), float(lon)
 
 
 def library() -> Any:

@@ -80,7 +80,8 @@ class SurveyReport:
         values = self.as_dict()
         rate = f", {values['pixels_per_second']:.3g} pixels/s" if values["pixels"] else ""
         there = f", {self.before} were there" if self.before else ""
-        lines = [f"{self.path}: {values['made']} of {self.tiles} tiles made in {spoken(self.seconds)}{there}{rate}"]
+        done = f"{values['made']} of {self.tiles} tiles made in {spoken(self.seconds)}{there}{rate}"
+        lines = [f"{self.path}: {done if self.made or self.lost else f'nothing to do, all {self.before} tiles are there'}"]
         reasons: dict[tuple[str, str], list[int]] = {}
         for one in self.failed:
             reasons.setdefault((one.strip, one.reason), []).append(one.tile)
@@ -247,7 +248,7 @@ def placed(path: str, note: str = "") -> Iterator[None]:
     """Errors of the file system name the store where they name nothing, as those of writing do; `note` tells how to go on."""
     try:
         yield
-    except (OSError, MemoryError) as error:
+    except (OSError, MemoryError, KeyboardInterrupt) as error:
         if isinstance(error, OSError) and error.errno and error.filename is None and not isinstance(error, ConnectionError):
             error.filename = path
         if note:
@@ -269,9 +270,12 @@ def plans_of(store: SurveyStore) -> list[StripPlan]:
     plans = [plan_of(store, strip) for strip in store.strips]
     for line in dict.fromkeys(plan.line for plan in plans):
         with open_echoes(line) as echoes:
-            for plan in plans:
-                if plan.line == line:
-                    require_navigation(plan, echoes.navigation, plan.blocks)
+            mine = [plan for plan in plans if plan.line == line]
+            for plan in mine:
+                require_navigation(plan, echoes.navigation, plan.blocks)
+            more = echoes.n_ping - max(plan.blocks[-1].last for plan in mine)
+            if more and mine[0].complete:
+                _checks.warn(f"{line}: has {more} pings more than were planned: a new survey has them")
     return plans
 
 
