@@ -194,6 +194,22 @@ def test_a_line_that_is_replaced_while_it_is_followed_ends_it(echoes, tmp_path):
             survey.follow(line_, store, poll=0.02, patience=5.0, progress=replace, **CUT)
 
 
+def test_a_line_that_is_gone_ends_it(echoes, tmp_path):
+    """As where a mount is lost; it would wait for ever."""
+    lost = []
+
+    def lose(_):
+        if not lost:
+            lost.append(True)
+            threading.Timer(0.5, (tmp_path / "line.zarr").rename, [tmp_path / "gone.zarr"]).start()
+
+    with pysas.EchoWriter(tmp_path / "line.zarr") as writer:
+        writer.append(echoes[:420])
+        with pytest.raises(FileNotFoundError, match=r"line\.zarr") as caught:
+            survey.follow(tmp_path / "line.zarr", tmp_path / "images.zarr", poll=0.02, patience=PATIENCE, progress=lose, **CUT)
+    assert "--follow --resume goes on from there" in caught.value.__notes__[0]
+
+
 def test_a_line_that_was_complete_and_grows_again_is_named(echoes, tmp_path):
     """Tiles at its end were made without the pings that came after."""
     record(echoes[:420], tmp_path / "line.zarr", 100)

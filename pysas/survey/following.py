@@ -118,7 +118,9 @@ class _Waiting:
             time.sleep(self.poll)
 
     def _look(self) -> tuple[int, bool]:
-        """Pings there, and whether these are all, of the header alone."""
+        """Pings there, and whether these are all, of the header alone. Raises OSError where a line that was there is gone."""
+        if self.pings:
+            os.stat(self.line)
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # not there yet; opening it tells what is wrong
             header = json.loads((Path(self.line) / "zarr.json").read_bytes())["attributes"]
             return int(header.get("pings", 1)), header.get("complete", True) is not False

@@ -179,6 +179,12 @@ def plan(
     OSError, ImportError
         From the file system; a format whose library is not installed.
 
+    Warns
+    -----
+    UserWarning
+        A line that is not complete; a height of the seabed that nothing tells, where it matters; pings that light tiles which
+        are complete by then.
+
     Notes
     -----
     O(navigation): 0.1 ms a ping. No sample is read.
