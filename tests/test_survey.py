@@ -169,6 +169,20 @@ def test_a_depth_map_holds_all_of_a_strip_and_need_not_hold_more(short, tmp_path
                 survey.plan(path, **CUT, depth_map=tmp_path / "map.txt")
 
 
+def test_memory_of_a_depth_map_is_predicted(short, tmp_path):
+    """Heights in float64: of the largest block's image, and of all tiles that it crosses."""
+    x = np.linspace(900.0, 1100.0, 5)
+    np.savez(tmp_path / "map.npz", x=x, y=x + 1000, z=np.zeros((5, 5)))
+    pysas.save(tmp_path / "one.npz", short)
+    flat, mapped = (survey.plan(tmp_path / "one.npz", **CUT, **of) for of in ({"z": 0.0}, {"depth_map": tmp_path / "map.npz"}))
+    strip = mapped.strips[0]
+    heights = max(
+        block.high - block.low + strip.columns * ((block.high - 1) // strip.columns + 1 - block.low // strip.columns)
+        for block in strip.blocks
+    )
+    assert mapped.memory - flat.memory >= 8 * strip.y.size * heights
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
 def test_other_containers_give_the_same_tiles(suffix, scene, tmp_path):
     _, echoes, _, whole = scene

@@ -437,5 +437,8 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
         raise ValueError(f"{plan.line}: nothing to {plan.side}: {made.silent}")
     tile = plan.y.size * plan.columns * navigation.dtype.itemsize
     pending = ((dear.high - dear.low) // plan.columns + 2 + 3) * tile  # those to come, and one being written
+    if plan.depth_map is not None:  # heights in float64: of a block, of tiles that it crosses, of one while it is read off
+        columns = (dear.high - dear.low) * 9 // 8 + plan.columns * ((dear.high - dear.low) // plan.columns + 2 + 4)
+        pending += 8 * plan.y.size * columns
     pings = some.data.size * some.dtype.itemsize * (2 if some.compressed else 4)  # the next block is read meanwhile
     return made.predicted_seconds * sum(weights) / max(weights), made.predicted_memory + pending + pings + _PROCESS
