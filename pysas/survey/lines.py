@@ -20,6 +20,7 @@ from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.planning import framing
 from pysas.signal import compression
+from pysas.survey.sections import QUEUE
 from pysas.survey.strips import Strip
 from pysas.survey.tiling import Settings, StripPlan, begun, digest_of, extended
 
@@ -436,7 +437,7 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     if made.silent:
         raise ValueError(f"{plan.line}: nothing to {plan.side}: {made.silent}")
     tile = plan.y.size * plan.columns * navigation.dtype.itemsize
-    pending = ((dear.high - dear.low) // plan.columns + 2 + 3) * tile  # those to come, and one being written
+    pending = ((dear.high - dear.low) // plan.columns + 3 + QUEUE) * tile  # those to come, and those to be written
     if plan.depth_map is not None:  # heights in float64: of a block, of tiles that it crosses, of one while it is read off
         columns = (dear.high - dear.low) * 9 // 8 + plan.columns * ((dear.high - dear.low) // plan.columns + 2 + 4)
         pending += 8 * plan.y.size * columns

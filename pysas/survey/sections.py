@@ -6,6 +6,7 @@ import os
 import threading
 import warnings
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from pysas.survey.image_store import DARK, DONE, FAILED, StripStore, SurveyStore
 from pysas.survey.strips import Blocks, Pending, add_block, crossed
 from pysas.survey.tiling import StripPlan, require_navigation
 
+QUEUE = 3  # tiles that are written, or wait for it
 _ONE = threading.Lock()  # a process makes one section at a time, on all threads that it has
 
 
@@ -58,7 +60,7 @@ class Section:
         self.failed: dict[int, str] = {}
         self.done: list[Made] = []
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="pysas-tiles")
-        self._writing: Future[None] | None = None
+        self._writing: deque[Future[None]] = deque()
 
     def wanted(self, number: int, tiles: Iterable[int]) -> list[int]:
         """Those of the tiles that a block lights."""
@@ -118,14 +120,13 @@ class Section:
                 self.done.append(Made(self.plan.name, tile, DONE, "", seconds, report.terms, pending.data.size))
 
     def _write(self, what: Callable[..., None], *arguments: Any) -> None:
-        """On a thread, one at a time."""
-        self._wait()
-        self._writing = self._writer.submit(what, *arguments)
+        """On a thread, one at a time; a few may wait for it."""
+        self._wait(QUEUE - 1)
+        self._writing.append(self._writer.submit(what, *arguments))
 
-    def _wait(self) -> None:
-        if self._writing is not None:
-            writing, self._writing = self._writing, None
-            writing.result()
+    def _wait(self, left: int = 0) -> None:
+        while len(self._writing) > left:
+            self._writing.popleft().result()
 
     def __enter__(self) -> Section:
         return self
