@@ -82,6 +82,17 @@ def test_failed_tiles_are_told_and_make_the_exit_code(folder, capsys):
     pysas_survey(capsys, "bad.npz", "-o", "bad.zarr", "--overwrite", "--nan", "mask", *CUT)
 
 
+def test_a_store_tells_its_state(folder, capsys):
+    pysas_survey(capsys, "one.zarr", "-o", "one_images.zarr", *CUT)
+    Path("one_images.zarr/000-port/records/3/zarr.json").unlink()
+    assert cli.main(["info", "one_images.zarr", "--json"]) == 0
+    (strip,) = json.loads(capsys.readouterr().out)["strips"]
+    assert strip["missing"] == 1 and strip["done"] == strip["tiles"] - 1 and strip["complete"]
+    assert cli.main(["info", "one_images.zarr"]) == 0
+    text = capsys.readouterr().out
+    assert "000-port" in text and "1 missing" in text and "one.zarr" in text
+
+
 def test_only_a_page_of_its_own_is_replaced_when_resumed(folder, capsys):
     pysas_survey(capsys, "one.zarr", "-o", "one_images.zarr", "--report", "page.html", *CUT)
     out = pysas_survey(capsys, "-o", "one_images.zarr", "--resume", "--report", "page.html").out

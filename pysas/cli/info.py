@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,13 @@ from pysas._checks import FloatArray
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
 from pysas.formats.echo_store import open_echoes
+from pysas.formats.stores import HOLDS, schema_of
 from pysas.imaging.planner import plan_ahead
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.planning import framing
+from pysas.survey.image_store import SurveyStore
+from pysas.survey.running import plan_of
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -25,6 +30,10 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
+    if io.is_store(arguments.file) and schema_of(Path(arguments.file)) == HOLDS["images"]:
+        values, text = _of_images(arguments.file)
+        print(json.dumps(values) if arguments.json else text)
+        return 0
     if io.is_store(arguments.file):
         values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
         print(json.dumps(values) if arguments.json else text)
@@ -37,6 +46,22 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         values, text = _of_echoes(item, arguments.tol, arguments.plan)
     print(json.dumps(values) if arguments.json else text)
     return 0
+
+
+def _of_images(path: str) -> tuple[dict[str, Any], str]:
+    """What a survey's store has of its plan."""
+    store = SurveyStore(path)
+    strips, lines = [], [f"images of a survey, planned by pysas {store.header.get('version')}"]
+    for strip in store.strips:
+        plan = plan_of(store, strip)
+        states = Counter((strip.record(tile) or {"state": "missing"})["state"] for tile in range(plan.ready))
+        strips.append({"strip": plan.name, "line": plan.line, "tiles": plan.ready, "complete": plan.complete, **states})
+        there = ", ".join(f"{count} {state}" for state, count in sorted(states.items())) or "none"
+        lines.append(
+            f"  {plan.name}: {plan.line}{'' if plan.complete else ', which grows'}: {plan.ready} tiles of {plan.columns} x "
+            f"{plan.y.size} pixels every {plan.step:g} m, tol {plan.settings.tol:g}: {there}"
+        )
+    return {"kind": "survey", "version": store.header.get("version"), "strips": strips}, "\n".join(lines)
 
 
 def _of_store(path: str, tol: float, explained: bool) -> tuple[dict[str, Any], str]:

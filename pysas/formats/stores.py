@@ -345,7 +345,7 @@ def check_output(path: str | os.PathLike[str], overwrite: bool, what: str = "ech
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{text}: no such folder: {target.parent}")
     if target.exists():
-        if (found := _schema_of(target)) != HOLDS[what]:
+        if (found := schema_of(target)) != HOLDS[what]:
             but = "" if found is None else f" but {found!r:.60}"
             raise ValueError(f"{text}: exists and is no store of {what}{but}: expected a new name")
         if not overwrite:
@@ -355,7 +355,7 @@ def check_output(path: str | os.PathLike[str], overwrite: bool, what: str = "ech
     return target
 
 
-def _schema_of(folder: Path) -> str | None:
+def schema_of(folder: Path) -> str | None:
     """What a store says that it holds."""
     try:
         require_header(folder)

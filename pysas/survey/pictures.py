@@ -257,6 +257,7 @@ def quicklook(strip: StripPlan, panels: Sequence[Panel]) -> bytes:
     high = float(np.clip(_ROW[0] * 0.85 * across / length, 1.0, 5.0))
     figure = plot._figure(figsize=(_ROW[0], len(panels) * (high + _ROW[1]) + 0.3), dpi=_DPI, layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    port_up = (strip.side == "port") == (float(strip.y.mean()) > strip.track)  # as seen from above, whether z is up or down
     drawn, found = None, set()
     for ax, panel in zip(axes, panels, strict=True):
         with np.errstate(divide="ignore"):
@@ -275,7 +276,7 @@ def quicklook(strip: StripPlan, panels: Sequence[Panel]) -> bytes:
                 polygons = [[(a, away[0]), (b, away[0]), (b, away[1]), (a, away[1])] for a, b in edges]
                 ax.add_collection(PolyCollection(polygons, facecolors=COLOURS[state], edgecolors="0.2", lw=0, hatch="////"))
         ax.set_xlim(x[0], x[0] + length)
-        ax.set_ylim(*away)
+        ax.set_ylim(*(away if port_up else away[::-1]))
         ax.set_ylabel("across, m", fontsize="small")
     axes[-1].set_xlabel("along the track, m")
     said = f"dB re {level:.1f} dB,\nthe 99.9th percentile"
