@@ -28,8 +28,9 @@ pytestmark = pytest.mark.cpp  # with either engine the same is tested
 
 CUT = {"tile": 2.0, "section": 12.0, "pixel": (0.02, 0.04), "swath": (10.0, 36.0)}
 RUN = """
-import json, sys
+import json, signal, sys
 from pysas import survey
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit that it is ignored
 doing, path, out, address, cut = sys.argv[1:]
 client = None
 if address:
