@@ -327,6 +327,7 @@ MEMORY = """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_map(tmp_path: Path) -> None:
     path = store(
         tmp_path / "s.zarr", (header(rotation=0.7, near=10.0, rows=25), 1.0), (header("b", origin=[0.0, 40.0], rows=25), 2.0)
