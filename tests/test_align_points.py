@@ -145,6 +145,7 @@ def test_an_array_with_sway_and_heave_unknown(data_dir: Path, given: bool) -> No
     assert after_rigid_fit(after[:, 1:], targets[:, :2]).max() < (1e-3 if given else 5e-3)
 
 
+@pytest.mark.slow
 def test_an_array_without_attitude(data_dir: Path) -> None:
     """A straight level line in place of all motion: slopes along the array find its yaw of 19 mrad to 2, and save 1.5 dB."""
     true, _, targets = strip(data_dir)

@@ -103,6 +103,7 @@ def test_developed_speckle_says_nothing(seed: int) -> None:
         assert report.contrast == pytest.approx(2, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", HARD)
 def test_an_error_beyond_the_basin_is_left_alone(seed: int) -> None:
     """20 mm rms of sway: phases alone would lead astray; align_points finds it."""
@@ -112,6 +113,7 @@ def test_an_error_beyond_the_basin_is_left_alone(seed: int) -> None:
     assert "align_points" in report.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", HARD)
 def test_after_micronavigation(seed: int) -> None:
     """An array's track whose heading wanders by 125 urad a ping, as micronavigation leaves it: 0.5 mm, 0.25 dB."""
