@@ -3,9 +3,9 @@
 The reference survey of `bench.survey` (32 receivers, 150 m of swath, pixels of 2.5 cm) as a store of echoes on disk. Three ways
 through the same strip take turns: `pysas.Strip` from pings in memory, whose images are dropped (the engine alone);
 `pysas.survey.run` from the store into a store, in this process; and the same by two worker processes of one thread each. The
-line is imaged twice in a run, as two strips, so that both workers have something to do. Ratios are of medians. Tiles and blocks
-are of 20 m in all of them. With --long M a line of so many metres, whose noise repeats itself, is written and imaged by a
-process of its own in pixels of 5 cm, and the peak of its memory is told.
+line is imaged twice in a run, as two strips, so that both workers have something to do. Ratios are of medians of times: the
+pings are the same, while tiles and images, all of 20 m, begin at other places. With --long M a line of so many metres, whose
+noise repeats itself, is written and imaged by a process of its own in pixels of 5 cm, and the peak of its memory is told.
 """
 
 import argparse
@@ -83,14 +83,13 @@ def compare(folder, receivers, length, tol, rounds):
             found["engine alone"].append(engine_alone(path, tol, 2))
             found["survey, this process"].append(through_stores(path, folder, tol, 2))
             found["survey, two workers"].append(through_stores(path, folder, tol, 1, client))
-    print("| way | s, median | pixels/s | real-time factor | rate over the engine's | over this process |")
+    print("| way | s, median | pixels/s | real-time factor | speed over the engine's | over this process's |")
     print("|---" * 6 + "|")
-    rates = {}
+    times = {}
     for way, runs in found.items():
-        seconds = float(np.median([run[0] for run in runs]))
-        rates[way] = runs[0][1] / seconds
-        ratios = [f"{rates[way] / rates[other]:.2f}" for other in list(found)[:2] if other in rates]
-        print(f"| {way} | {seconds:.2f} | {rates[way]:.3g} | {2 * covered / seconds:.1f} | {' | '.join(ratios)} |", flush=True)
+        times[way] = seconds = float(np.median([run[0] for run in runs]))
+        ratios = [f"{times[other] / seconds:.2f}" for other in list(found)[:2] if other in times]
+        print(f"| {way} | {seconds:.2f} | {runs[0][1] / seconds:.3g} | {2 * covered / seconds:.1f} | {' | '.join(ratios)} |")
 
 
 def long_line(folder, receivers, length, tol):
