@@ -30,7 +30,7 @@ _BACK = 1.0  # m that a line may go back before it counts as turning
 _TURN = np.radians(45)  # of its mean direction that a line may head
 _LEGS = 64
 _SONAR = ("fs", "fc", "occupied_bandwidth", "n_channel", "compressed")  # what lines of one survey share
-_PROCESS = 250e6  # bytes of a process that images nothing
+_PROCESS = 300e6  # bytes of a process that images nothing
 
 
 @dataclass(frozen=True)
