@@ -160,7 +160,7 @@ def same(store, whole):
     return survey.verify(store) == []
 
 
-def begun(store, rng, process, most=36):
+def begun(store, rng, process, most=26):
     """Wait for a random moment before a run of 41 tiles ends."""
     count = rng.integers(0, most)
     until(lambda: records(store) >= count or process.poll() is not None)
@@ -250,7 +250,7 @@ def test_deaths_of_client_worker_and_scheduler_leave_no_trace(scene, processes, 
     begun(stores[0], rng, victim, 15)
     processes.kill(victim)
     other = processes.survey("resume", path, stores[0], processes.address)
-    begun(stores[0], rng, other, 30)
+    begun(stores[0], rng, other, 24)
     processes.kill(workers[0])
     code, out, err = processes.ended(other)
     assert code == 0 and json.loads(out)["complete"], err
