@@ -12,6 +12,11 @@ C, FC, BAND, FS, ALTITUDE, FIRST, LAST = 1500.0, 100e3, 8e3, 12e3, 10.0, 12.0, 4
 TARGETS = np.array([[15.0, 18.0], [31.3, 25.2], [52.0, 21.1]])  # m along the line from its first ping, and to port of it
 
 
+def tree(folder):
+    """Every file of a store, by its name in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(Path(folder).rglob("*")) if path.is_file()}
+
+
 def line(
     path, heading=0.3, pings=240, origin=(1000.0, 2000.0), seed=0, receivers=6, sides="port", int16=False, raw=False,
     speeds=False, gap=0.0, nan=(), far=LAST,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zarr
-from survey_scenes import TARGETS, C, changed, line
+from survey_scenes import TARGETS, C, changed, line, tree
 
 import pysas
 from pysas import survey
@@ -19,11 +19,6 @@ from pysas.survey.image_store import SurveyStore
 
 CUT = {"tile": 4.0, "section": 20.0, "pixel": (0.1, 0.1), "swath": (10.0, 30.0)}
 SLOPE = (0.4, -0.01, 0.02)  # heights of a plane: m, and m each m along x and y, which linear interpolation keeps
-
-
-def tree(folder):
-    """Every file of a store, by its name in it."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def pixels_of(store, tile, array="data"):

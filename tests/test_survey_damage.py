@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 import zarr
-from survey_scenes import changed, line
+from survey_scenes import changed, line, tree
 
 import pysas
 from pysas import cli, survey
@@ -19,11 +19,6 @@ pytestmark = pytest.mark.cpp  # with either engine the same is tested
 
 CUT = {"tile": 4.0, "section": 20.0, "pixel": (0.1, 0.1), "swath": (10.0, 30.0)}
 STRIP = "000-port"
-
-
-def tree(folder):
-    """Every file of a store, by its name in it."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def flip(path, bit):

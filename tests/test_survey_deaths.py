@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import psutil
 import pytest
-from survey_scenes import line
+from survey_scenes import line, tree
 
 from pysas import survey
 from pysas.survey import sections
@@ -47,11 +47,6 @@ print(json.dumps(report.as_dict()))
 """
 GONE = "ConnectionError: the scheduler is gone"
 PATIENCE = 60.0  # s, for whatever shall happen
-
-
-def tree(folder):
-    """Every file of a store, by its name in it."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def until(true):

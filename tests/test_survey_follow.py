@@ -7,11 +7,10 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from survey_scenes import line
+from survey_scenes import line, tree
 
 import pysas
 from pysas import cli, survey
@@ -24,11 +23,6 @@ pytestmark = pytest.mark.cpp  # with either engine the same is tested
 CUT = {"tile": 5.0, "section": 20.0, "pixel": 0.1, "swath": (10.0, 30.0), "z": 0.0}
 PINGS = 500  # 150 m: axes are laid along the first 100
 PATIENCE = 60.0  # s
-
-
-def tree(folder):
-    """Every file of a store, by its name in it."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(Path(folder).rglob("*")) if path.is_file()}
 
 
 @pytest.fixture(scope="module")

@@ -96,7 +96,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
     seabed.add_argument("--altitude", type=float, metavar="A", help="height of the sonar over the seabed, m")
     seabed.add_argument("--depth-map", metavar="FILE", help="z of the seabed at x, y: .npz, .h5, or text of x, y, z")
     sub.add_argument(
-        "--spacing", type=_spacing, metavar="A [B]", help="pixel spacing along x, and along y, m (default: half the resolution)"
+        "--spacing", type=spacing, metavar="A [B]", help="pixel spacing along x, and along y, m (default: half the resolution)"
     )
     sub.add_argument("--side", choices=framing.SIDES, help="of the track that is imaged (default: where the beam looks)")
     sub.add_argument("--large", action="store_true", help=f"allow more than {framing.MOST:.2g} pixels")
@@ -126,14 +126,14 @@ def window(text: str) -> str | tuple[Any, ...]:
         raise argparse.ArgumentTypeError(f"{text!r}: expected NAME or NAME:PARAMETER") from None
 
 
-def _spacing(text: str) -> tuple[float, float]:
-    """One number, or two with a comma between them, which `program` has joined."""
+def spacing(text: str, axes: str = "along x and along y") -> tuple[float, float]:
+    """One number, or two with a comma between them."""
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
     if len(found) not in (1, 2):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected metres, along x and along y")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected metres, {axes}")
     return found[0], found[-1]
 
 

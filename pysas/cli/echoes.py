@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places
-from pysas.formats import io, matlab, recordings
+from pysas.formats import files, io, matlab, recordings
 from pysas.formats.tables import Table, read_table
 from pysas.model.echoes import Echoes
 from pysas.navigation import Geometry, Poses, euler, geometry, pulse_centre
@@ -73,21 +71,21 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     samples = recordings.read_samples(arguments.samples, arguments.dtype, arguments.shape)
     replica = _replica(arguments.pulse, fs)
     lead = int(np.ceil(_LEAD * fs / band))
-    with _blamed(arguments.pulse):
+    with files.naming(arguments.pulse):
         pulse, rate = demodulate(np.pad(replica, lead), fs, fc, band, t0=-lead / fs, threads=workers)
         centre = pulse_centre(replica, fs)
     if arguments.pulse_centre is not None:
         centre = _checks.number("--pulse-centre", _number("--pulse-centre", arguments.pulse_centre), low=0.0)
     where = _where(arguments, centre, (t0, t0 + (samples.shape[-1] - 1) / fs))
     progress.step("demodulating")
-    with _blamed(arguments.samples):
+    with files.naming(arguments.samples):
         data, _ = demodulate(samples, fs, fc, band, t0=t0, threads=workers)
     raw = Echoes(
         data, fs=rate, fc=fc, t0=t0, bandwidth=min(band, rate / 1.1), c=number["c"], tx=where.tx, rx=where.rx,
         velocity=where.velocity, compressed=False, ping_time=where.ping_time,
         attrs={"title": Path(arguments.samples).name, "frame": dataclasses.asdict(where.frame), "pulse_centre": centre},
     )  # fmt: skip
-    with _blamed(arguments.pulse):
+    with files.naming(arguments.pulse):
         echoes = compression.compress(
             raw, pulse=pulse, pulse_t0=-lead / fs, threads=workers, progress=progress.step("compressing")
         )
@@ -172,12 +170,3 @@ def _file(text: str) -> tuple[str, str]:
     """FILE.mat:NAME in two, or the text and no name."""
     path, colon, name = text.rpartition(":")
     return (path, name) if colon and path.lower().endswith(".mat") and name else (text, "")
-
-
-@contextlib.contextmanager
-def _blamed(path: str) -> Iterator[None]:
-    """What is wrong with what a file holds, with the file's name."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -13,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from pysas import _checks
-from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places, span, window
+from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places, spacing, span, window
 from pysas.engine import BACKENDS
 from pysas.planning.framing import SIDES
 from pysas.survey import SurveyPlan, SurveyReport, follow, overview, page, plan, resume, run, verify
 from pysas.survey.following import AXES
 from pysas.survey.lines import SECTION, TILE
-from pysas.survey.pages import is_page
+from pysas.survey.pages import SUFFIXES, is_page
 from pysas.survey.running import require_place, require_same
 
 _PATIENCE = 10.0  # s for a scheduler's answer
@@ -33,7 +34,10 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("lines", metavar="LINE", nargs="*", help="echoes of a straight line, raw or compressed (.zarr, .npz, .h5)")
     sub.add_argument("-o", "--output", metavar="STORE", help="store of images to write (.zarr)")
     sub.add_argument(
-        "--pixel", type=_pixel, metavar="M[,M]", help="pixels, along the line and across (default: 0.8 of Nyquist)"
+        "--pixel",
+        type=functools.partial(spacing, axes="along the line and across"),
+        metavar="M[,M]",
+        help="pixels, along the line and across (default: 0.8 of Nyquist)",
     )
     sub.add_argument("--swath", type=span, metavar="NEAR:FAR", help="m from the track, level (default: what is recorded)")
     sub.add_argument("--side", choices=SIDES, help="default: where the beam looks")
@@ -59,16 +63,6 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--png", metavar="FILE", help="map of the plan to draw (needs matplotlib)")
     sub.add_argument("--report", metavar="HTML", help="page on what was made, with quick-looks; and a .json beside it")
     add_overwrite(sub)
-
-
-def _pixel(text: str) -> tuple[float, float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (1, 2):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected metres, along the line and across")
-    return values[0], values[-1]
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
@@ -112,7 +106,7 @@ def _require_places(arguments: argparse.Namespace) -> None:
     """Raise now what writing the pictures and the page would raise after the work."""
     if arguments.png is not None and not arguments.plan:
         raise ValueError("--png: expected with --plan: it is a map of the plan")
-    if arguments.report is not None and Path(arguments.report).suffix.lower() not in (".html", ".htm"):
+    if arguments.report is not None and Path(arguments.report).suffix.lower() not in SUFFIXES:
         raise ValueError(f"--report {arguments.report}: expected a name that ends in .html")
     beside = None if arguments.report is None else str(Path(arguments.report).with_suffix(".json"))
     inputs = [*arguments.lines, arguments.depth_map]

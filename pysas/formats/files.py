@@ -82,6 +82,15 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
         raise
 
 
+@contextlib.contextmanager
+def naming(path: str) -> Iterator[None]:
+    """What is wrong with what a file holds, with the file's name."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
 def check_outputs(outputs: Iterable[tuple[str, str]], inputs: Iterable[str], overwrite: bool) -> None:
     """Raise now what writing would raise after the work.
 

@@ -36,7 +36,7 @@ from pysas.model.pulse import LFM
 Array = npt.NDArray[Any]
 Named = dict[str, tuple[tuple[str, ...], Array]]
 
-ECHOES, IMAGE = "pysas-echoes-1", "pysas-image-1"
+ECHOES, IMAGE = stores.HOLDS["echoes"], "pysas-image-1"
 _PULSE = ("pulse_kind", "pulse_fc", "pulse_bandwidth", "pulse_duration", "pulse_window")
 _BEAM = ("beam_boresight", "beam_length", "beam_half_angle")  # of any beam
 _MORE_BEAM = ("beam_shape", "beam_taper", "beam_axis")  # of a cone without taper where they are missing: older files' beams

@@ -243,20 +243,25 @@ def create(folder: Path, header: Mapping[str, Any], fixed: Named, rows: Named, *
         if row > _MOST_CHUNK:
             raise ValueError(f"{name}: found {row} bytes a ping, expected at most {_MOST_CHUNK}")
         many = max(1, min(_CHUNK_PINGS if name in rows else array.shape[0], _CHUNK_BYTES // row))
-        create_array(group, name, axes, array, many)
+        chunks = many, *(max(n, 1) for n in array.shape[1:])
+        made = new_array(group, name, array.dtype.newbyteorder("="), array.shape, chunks, axes)
+        if array.size:
+            made[...] = array
     _put(group, dict(header), next(iter(rows.values()))[1].shape[0], complete)
     require_header(folder)
 
 
-def create_array(group: Any, name: str, axes: tuple[str, ...], array: Array, many: int) -> None:
+def new_array(
+    group: Any, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], chunks: tuple[int, ...], axes: tuple[str, ...],
+    shards: tuple[int, ...] | None = None,
+) -> Any:  # fmt: skip
+    """An array of a group as all stores have them: chunks, or chunks within shards, with their CRC-32C and nothing else."""
     codecs = library().codecs
-    made = group.create_array(
-        name, shape=array.shape, dtype=array.dtype.newbyteorder("="), chunks=(many, *(max(n, 1) for n in array.shape[1:])),
-        filters=None, serializer=codecs.BytesCodec(endian="little"), compressors=[codecs.Crc32cCodec()], fill_value=0,
-        chunk_key_encoding={"name": "default", "separator": "."}, dimension_names=axes, config={"write_empty_chunks": True},
+    return group.create_array(
+        name, shape=shape, dtype=dtype, chunks=chunks, shards=shards, filters=None,
+        serializer=codecs.BytesCodec(endian="little"), compressors=[codecs.Crc32cCodec()], fill_value=0, dimension_names=axes,
+        chunk_key_encoding={"name": "default", "separator": "."}, config={"write_empty_chunks": True},
     )  # fmt: skip
-    if array.size:
-        made[...] = array
 
 
 def _put(group: Any, header: dict[str, Any], pings: int, complete: bool) -> None:

@@ -17,7 +17,7 @@ from pysas.formats import files, io
 from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.imaging.words import spoken
 from pysas.survey.image_store import SurveyStore
-from pysas.survey.lines import Cut, SurveyPlan, named
+from pysas.survey.lines import Cut, SurveyPlan
 from pysas.survey.running import SurveyReport, begin, placed, plan_of, require_place, resume
 from pysas.survey.sections import Section, reading
 from pysas.survey.tiling import StripPlan, begun, extended, require_navigation
@@ -140,7 +140,7 @@ def _first(cut: Cut, line: str, waiting: _Waiting) -> list[StripPlan]:
             if not store.complete and not enough.size:
                 continue
             first = navigation[: int(enough[0]) + 1] if enough.size else navigation
-            with named(line):
+            with files.naming(line):
                 strips = [begun(strip, first) for strip in cut.strips(0, line, first)]
             strips = [extended(strip, navigation, store.complete) for strip in strips]
             if all(strip.tiles for strip in strips):

@@ -8,6 +8,7 @@ leave the same bytes. Chunks carry their CRC-32C, records the CRC-32 of the shar
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -26,7 +27,7 @@ from pysas._checks import FloatArray
 from pysas.formats import files, stores
 from pysas.formats.fields import blamed
 
-SCHEMA = "pysas-survey-1"
+SCHEMA = stores.HOLDS["images"]
 ARRAYS = {"data": np.dtype(np.complex64), "magnitude": np.dtype(np.float32)}
 DONE, DARK, FAILED, DAMAGED = "done", "dark", "failed", "damaged"  # states of a tile that has a record; dark: no ping lights it
 
@@ -82,7 +83,7 @@ class StripStore:
 
     def _require_headers(self, rows: int, mend: bool) -> None:
         """Arrays say of themselves what they did; others are told of, or written anew from the strip's numbers."""
-        found = {name: _sum_of(self._folder / name / "zarr.json") for name in _HEADERS}
+        found = _sums_of(self._folder)
         damaged = [name for name in _HEADERS if found[name] != self._sums.get(name)]
         if not damaged:
             return
@@ -98,7 +99,7 @@ class StripStore:
         self._put_attributes(rows)
 
     def _put_attributes(self, rows: int) -> None:
-        self._sums = {name: _sum_of(self._folder / name / "zarr.json") for name in _HEADERS}
+        self._sums = _sums_of(self._folder)
         with files.replacing(self._folder / "zarr.json") as file:
             file.write(_zarrs_group_of({**self.attributes, "rows": rows, "headers": self._sums}))
 
@@ -142,9 +143,8 @@ class StripStore:
         """Take a tile's record away: it has not been made."""
         (self._folder / _RECORDS / str(tile) / "zarr.json").unlink(missing_ok=True)
 
-    def damage(self, tile: int) -> str | None:
+    def damage(self, tile: int, record: Mapping[str, Any]) -> str | None:
         """What is wrong with the shards of a tile that is done, by its record; reads them whole."""
-        record = self.record(tile) or {}
         for name in ARRAYS:
             try:
                 found, expected = self._sum(name, tile), record.get("shards", {}).get(name)
@@ -154,9 +154,8 @@ class StripStore:
                 return f"{name}: damaged: found bytes other than were written, by their number or CRC-32"
         return None
 
-    def whole(self, tile: int) -> bool:
-        """Whether a tile that is done has shards of the size that they were written with."""
-        record = self.record(tile) or {}
+    def whole(self, tile: int, record: Mapping[str, Any]) -> bool:
+        """Whether a tile that is done has shards of the size that they were written with, by its record."""
         try:
             return all(os.stat(self._shard(name, tile)).st_size == record["shards"][name][0] for name in ARRAYS)
         except (OSError, KeyError, TypeError):
@@ -223,7 +222,7 @@ class SurveyStore:
         self.path, self._mend = files.name(path), mend
         stores.require(self.path)
         folder = Path(self.path)
-        try:
+        with self._blamed():
             self.mended: list[str] = []
             self.header = _attributes_of(folder, self.mended if mend else None)
             if (schema := self.header.get("schema")) != SCHEMA:
@@ -234,6 +233,12 @@ class SurveyStore:
             if any(Path(name).name != name or name.startswith(".") for name in names):
                 raise ValueError(f"strips: found {names!r:.60}, expected names of groups of this one")
             self.names: list[str] = names
+
+    @contextlib.contextmanager
+    def _blamed(self) -> Iterator[None]:
+        """Whatever is said of wrong attributes, as a ValueError that names the store."""
+        try:
+            yield
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{self.path}: {f'{error} missing' if isinstance(error, KeyError) else error}") from error
 
@@ -244,10 +249,8 @@ class SurveyStore:
 
     def strip(self, number: int) -> StripStore:
         """One of them, opened."""
-        try:
+        with self._blamed():
             return StripStore(Path(self.path) / self.names[number], mend=self._mend)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{self.path}: {f'{error} missing' if isinstance(error, KeyError) else error}") from error
 
 
 def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader]) -> None:
@@ -258,8 +261,7 @@ def create(folder: Path, header: Mapping[str, Any], strips: Sequence[StripHeader
         group = root.create_group(strip.name)
         _create_arrays(group, rows, tiles, strip.columns)
         group["x"][...], group["y"][...] = strip.x, strip.y
-        headers = {name: _sum_of(folder / strip.name / name / "zarr.json") for name in _HEADERS}
-        numbers = {"columns": strip.columns, "tiles": tiles, "rows": rows, "headers": headers}
+        numbers = {"columns": strip.columns, "tiles": tiles, "rows": rows, "headers": _sums_of(folder / strip.name)}
         (folder / strip.name / "zarr.json").write_bytes(_zarrs_group_of({**strip.attributes, **numbers}))
     names = [strip.name for strip in strips]
     (folder / "zarr.json").write_bytes(_zarrs_group_of({**header, "schema": SCHEMA, "strips": names}))
@@ -288,22 +290,11 @@ def _attributes_of(folder: Path, mended: list[str] | None) -> dict[str, Any]:
 
 def _create_arrays(group: Any, rows: int, tiles: int, columns: int) -> None:
     for name, size, chunk in (("x", tiles * columns, _AXIS), ("y", rows, rows)):
-        _create(group, name, np.dtype(np.float64), (size,), (chunk,), None, (name,))
+        stores.new_array(group, name, np.dtype(np.float64), (size,), (chunk,), (name,))
     for name, dtype in ARRAYS.items():
-        _create(group, name, dtype, (rows, tiles * columns), (_inner(rows), columns), (rows, columns), ("y", "x"))
+        shape, chunks, shards = (rows, tiles * columns), (_inner(rows), columns), (rows, columns)
+        stores.new_array(group, name, dtype, shape, chunks, ("y", "x"), shards)
     group.create_group(_RECORDS)
-
-
-def _create(
-    group: Any, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], chunks: tuple[int, ...],
-    shards: tuple[int, ...] | None, axes: tuple[str, ...],
-) -> Any:  # fmt: skip
-    codecs = stores.library().codecs
-    return group.create_array(
-        name, shape=shape, dtype=dtype, chunks=chunks, shards=shards, filters=None,
-        serializer=codecs.BytesCodec(endian="little"), compressors=[codecs.Crc32cCodec()], fill_value=0, dimension_names=axes,
-        chunk_key_encoding={"name": "default", "separator": "."}, config={"write_empty_chunks": True},
-    )  # fmt: skip
 
 
 def _write_shard(path: Path, pixels: npt.NDArray[Any]) -> list[int]:
@@ -355,6 +346,11 @@ def _zarrs_group_of(attributes: Mapping[str, Any]) -> bytes:
     memory: dict[str, Any] = {}
     _in_memory(memory, attributes=_summed(attributes))
     return bytes(memory["zarr.json"].to_bytes())
+
+
+def _sums_of(folder: Path) -> dict[str, int]:
+    """Checksums of the headers in a strip."""
+    return {name: _sum_of(folder / name / "zarr.json") for name in _HEADERS}
 
 
 def _sum_of(path: Path) -> int:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -214,7 +213,7 @@ def plan(
                     f"{store.path}: not complete: its recorder adds pings, or was ended; the {store.n_ping} there count"
                 )
             for strip in cut.strips(number, store.path, store.navigation):
-                with named(store.path):
+                with files.naming(store.path):
                     whole = extended(begun(strip, store.navigation), store.navigation, complete=True)
                     whole.require_heights()
                 cost = _cost(whole, store.navigation, count)
@@ -259,7 +258,7 @@ class Cut:
 
     def strips(self, number: int, path: str, echoes: Echoes) -> list[StripPlan]:
         """Strips of a line, without blocks, by its navigation."""
-        with named(path):
+        with files.naming(path):
             return self._strips(number, path, echoes)
 
     def _require_window(self, echoes: Echoes) -> None:
@@ -309,15 +308,6 @@ class Cut:
             )  # fmt: skip
             found.append(begin)
         return found
-
-
-@contextlib.contextmanager
-def named(path: str) -> Iterator[None]:
-    """Errors within it name the line."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _pair(pixel: float | tuple[float, float] | None) -> tuple[float, float] | None:
@@ -431,7 +421,7 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     strip: Strip = plan.strip(threads)
     grid = strip.grid(dear.low, dear.high - dear.low)
     s = plan.settings
-    with named(plan.line), warnings.catch_warnings():
+    with files.naming(plan.line), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is silent is an error here
         made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)
     if made.silent:

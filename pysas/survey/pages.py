@@ -25,7 +25,7 @@ from pysas.survey.reducing import rows_of
 from pysas.survey.running import SurveyReport, plan_of, spans
 from pysas.survey.tiling import StripPlan
 
-_SUFFIXES = ".html", ".htm"
+SUFFIXES = ".html", ".htm"
 _STATES = tuple(pictures.COLOURS)
 _MOST_PICTURES, _MOST_NOTES = 40, 200
 _STYLE = """
@@ -87,7 +87,7 @@ def page(
         raise TypeError(f"report={type(report).__name__}: expected what pysas.survey.run returns")
     text = files.name(path)
     stem, suffix = os.path.splitext(text)
-    if suffix.lower() not in _SUFFIXES:
+    if suffix.lower() not in SUFFIXES:
         raise ValueError(f"{text}: expected a name that ends in .html")
     targets = text, stem + ".json"
     for target in targets:
@@ -137,7 +137,7 @@ class _Tiles:
             elif self.states[tile] == DAMAGED:
                 self.reasons[tile] = "found damaged by verify"
             elif self.states[tile] == DONE:
-                if not strip.whole(tile):
+                if not strip.whole(tile, record):
                     self.states[tile], self.reasons[tile] = DAMAGED, "pixels are missing or cut short"
                 self._take(tile, record.get("report"))
 

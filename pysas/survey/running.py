@@ -18,7 +18,7 @@ from pysas.imaging.words import spoken
 from pysas.survey.distributing import Lost, by_client
 from pysas.survey.image_store import FAILED, StripHeader, StripStore, SurveyStore, create
 from pysas.survey.lines import SurveyPlan
-from pysas.survey.sections import Made, close_lines, image_section, made, recorded
+from pysas.survey.sections import Made, close_lines, image_section, made, missing, recorded
 from pysas.survey.tiling import StripPlan, require_navigation
 
 Job = tuple[int, int]  # numbers of a strip and of its section
@@ -206,7 +206,7 @@ def resume(
     before = 0
     for number, (plan, strip) in enumerate(zip(plans, store.strips, strict=True)):
         for section in range(plan.sections):
-            lacking = [tile for tile in plan.tiles_of(section) if not made(plan, strip, tile)]
+            lacking = missing(plan, strip, section)
             before += len(plan.tiles_of(section)) - len(lacking)
             if lacking:
                 jobs[number, section] = lacking

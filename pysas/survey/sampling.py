@@ -56,10 +56,11 @@ class Tiles:
         for strip in strips:
             done = np.zeros(strip.tiles, dtype=np.bool_)
             for tile in range(strip.tiles):
-                state = (strip.record(tile) or {}).get("state")
+                record = strip.record(tile) or {}
+                state = record.get("state")
                 done[tile] = state == image_store.DONE
                 self.missing += state in (None, image_store.FAILED)
-                if state == image_store.DAMAGED or (done[tile] and not strip.whole(tile)):
+                if state == image_store.DAMAGED or (done[tile] and not strip.whole(tile, record)):
                     raise ValueError(f"{path}: {strip.name}, tile {tile}: damaged: expected it made again, by --resume")
             self.done.append(done)
 

@@ -171,7 +171,7 @@ def made(plan: StripPlan, store: StripStore, tile: int) -> bool:
     record = store.record(tile)
     if record is None or record.get("recipe") != plan.recipe(tile):
         return False
-    return record["state"] == DARK or (record["state"] == DONE and store.whole(tile))
+    return record["state"] == DARK or (record["state"] == DONE and store.whole(tile, record))
 
 
 def recorded(store: StripStore, tile: int) -> Made:
@@ -239,31 +239,24 @@ def close_lines() -> None:
 
 def _make(work: Section, echoes: EchoStore, wanted: list[int], progress: Callable[[float], None] | None) -> None:
     plan = work.plan
-    blocks = [k for k in plan.blocks_of(range(wanted[0], wanted[-1] + 1)) if work.wanted(k, wanted)]
-    require_navigation(plan, echoes.navigation, [plan.blocks[k] for k in blocks])  # of a worker's own disk it may be another
+    lit = {k: tiles for k in plan.blocks_of(range(wanted[0], wanted[-1] + 1)) if (tiles := work.wanted(k, wanted))}
+    blocks = {k: plan.blocks[k] for k in lit}
+    require_navigation(plan, echoes.navigation, list(blocks.values()))  # of a worker's own disk it may be another
     left = list(wanted)
     with ThreadPoolExecutor(1, thread_name_prefix="pysas-pings") as reader:
 
-        def ask(place: int) -> Future[tuple[Echoes, int]] | None:
-            if place >= len(blocks):
-                return None
-            block = plan.blocks[blocks[place]]
-            return reader.submit(reading, echoes, block.first, block.last)
+        def ask(numbers: list[int]) -> list[Future[tuple[Echoes, int]]]:
+            return [reader.submit(reading, echoes, blocks[k].first, blocks[k].last) for k in numbers]
 
-        coming = ask(0)
-        for place, number in enumerate(blocks):
-            now, coming = coming, None
-            if now is None:
-                raise _checks.InternalError("a block that was not read")
-
-            def read(now: Future[tuple[Echoes, int]] = now) -> tuple[Echoes, int]:
-                return now.result()
-
-            coming = ask(place + 1)
-            work.add(number, read, work.wanted(number, wanted))
-            ready = [tile for tile in left if tile < plan.blocks[number].final]
+        numbers = list(blocks)
+        coming = ask(numbers[:1])
+        for place, number in enumerate(numbers):
+            now = coming.pop()
+            coming = ask(numbers[place + 1 : place + 2])  # while this one is summed
+            work.add(number, now.result, lit[number])
+            ready = [tile for tile in left if tile < blocks[number].final]
             left = left[len(ready) :]
             work.finish(ready)
             if progress is not None:
-                progress((place + 1) / len(blocks))
+                progress((place + 1) / len(numbers))
     work.finish(left)

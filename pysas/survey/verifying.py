@@ -57,7 +57,7 @@ def verify(
     strips = store.strips
     headers = [*store.mended, *(f"{strip.name}/{name}" for strip in strips for name in strip.mended)]
     found = [Damage(name, "missing, or not as it was written: mended") for name in headers]
-    plans = [plan_of(store, strip) for strip in store.strips]
+    plans = [plan_of(store, strip) for strip in strips]
     whole = sum(plan.tiles + (len(plan.blocks) if inputs else 0) for plan in plans) or 1
     done = 0
 
@@ -67,7 +67,7 @@ def verify(
         if progress is not None:
             progress(done / whole)
 
-    for plan, strip in zip(plans, store.strips, strict=True):
+    for plan, strip in zip(plans, strips, strict=True):
         samples: dict[tuple[int, int], set[int]] = {}  # CRC-32 of pings, of all tiles that are made from them
         for tile in range(plan.tiles):
             record = strip.record(tile)
@@ -78,7 +78,7 @@ def verify(
             if record is not None and record["state"] == DONE:
                 for first, last, value in record.get("input", ()):
                     samples.setdefault((first, last), set()).add(value)
-                if (what := strip.damage(tile)) is not None:
+                if (what := strip.damage(tile, record)) is not None:
                     found.append(Damage(where, what))
                     strip.put(tile, {**record, "state": DAMAGED})
             elif record is not None and record["state"] == DAMAGED:
