@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as _numpy  # noqa: F401  by one thread, before names are asked for by several
 
 if TYPE_CHECKING:
-    from pysas import circular, comparison, metrics, motion, navigation, plot, reference, simulation, survey, tracks
+    from pysas import circular, comparison, metrics, motion, navigation, plot, reference, survey, tracks
     from pysas.engine import get_include, get_library, show_config
     from pysas.formats.echo_store import EchoStore, open_echoes
     from pysas.formats.growing import EchoWriter
-    from pysas.formats.io import load, load_echoes, load_image, save
+    from pysas.formats.io import save
     from pysas.formats.tables import read_table
     from pysas.imaging.doorways import backproject, backproject_arrays, ffbp, focus
     from pysas.imaging.planner import plan
     from pysas.inspection import Finding, inspect
+    from pysas.loading import load, load_echoes, load_image
     from pysas.model.beam import Beam
     from pysas.model.echoes import Echoes
     from pysas.model.grid import Grid
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
     from pysas.motion.bright_points import align_points
     from pysas.motion.focusing import autofocus
     from pysas.motion.navigating import micronavigate
+    from pysas.signal import simulation
     from pysas.signal.baseband import demodulate
     from pysas.signal.compression import compress
     from pysas.signal.phase_history import from_phase_history
-    from pysas.simulation import simulate
+    from pysas.signal.simulation import simulate
     from pysas.survey.strips import Strip
 
 __version__ = "0.1.0"
@@ -48,10 +50,11 @@ _MODULES = {
     "engine": ("get_include", "get_library", "show_config"),
     "formats.echo_store": ("EchoStore", "open_echoes"),
     "formats.growing": ("EchoWriter",),
-    "formats.io": ("load", "load_echoes", "load_image", "save"),
+    "formats.io": ("save",),
     "formats.tables": ("read_table",),
     "imaging.doorways": ("backproject", "backproject_arrays", "ffbp", "focus"),
     "imaging.planner": ("plan",),
+    "loading": ("load", "load_echoes", "load_image"),
     "model.beam": ("Beam",),
     "model.echoes": ("Echoes",),
     "model.grid": ("Grid",),
@@ -64,9 +67,10 @@ _MODULES = {
     "signal.compression": ("compress",),
     "inspection": ("Finding", "inspect"),
     "signal.phase_history": ("from_phase_history",),
-    "simulation": ("simulate",),
+    "signal.simulation": ("simulate",),
     "survey.strips": ("Strip",),
 }
+_ROOM_OF = {"simulation": "signal.simulation"}  # of modules that stand in a room
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 _LOADING = threading.RLock()
 
@@ -76,7 +80,7 @@ if not TYPE_CHECKING:  # a checker shall know of no other names
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         with _LOADING:
-            module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name, name)}")
+            module = importlib.import_module(f"{__name__}.{_MODULE_OF.get(name) or _ROOM_OF.get(name, name)}")
             globals()[name] = getattr(module, name) if name in _MODULE_OF else module
         return globals()[name]
 

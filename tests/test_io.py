@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 import pytest
 
+import pysas
 from pysas.formats import io
 from pysas.model.echoes import Beam, Echoes
 from pysas.model.grid import Grid
@@ -748,7 +749,7 @@ def test_real_and_imaginary_parts_along_a_last_axis_are_samples(suffix: str, kin
         with h5py.File(path, "w") as made:
             for name, value in fields.items():
                 made[name] = value
-    found = io.load_echoes(path)
+    found = pysas.load_echoes(path)
     assert np.array_equal(found.data, echoes.data) and found.data.dtype == np.dtype(
         kind.replace("f4", "c8").replace("f8", "c16")
     )

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 import pysas
 from pysas.motion.moving import moved
-from pysas.simulation import seabed
+from pysas.signal.simulation import seabed
 
 
 def test_scatterers_lie_as_asked() -> None:

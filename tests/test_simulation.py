@@ -14,7 +14,7 @@ import pytest
 from pysas.model.beam import Beam
 from pysas.model.pulse import LFM
 from pysas.signal.echoing import delays
-from pysas.simulation import AliasingWarning, Element, _aliased, simulate
+from pysas.signal.simulation import AliasingWarning, Element, _aliased, simulate
 
 FloatArray = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -28,7 +28,7 @@ PULSES = {
     "tukey 0": LFM(100e3, 30e3, 2e-3, "tukey", 0.0),
     "taylor": LFM(100e3, 30e3, 2e-3, "taylor", 30.0),
 }
-ALIASED = pytest.mark.filterwarnings("ignore::pysas.simulation.AliasingWarning")
+ALIASED = pytest.mark.filterwarnings("ignore::pysas.signal.simulation.AliasingWarning")
 TRACE: dict[str, Any] = {"fs": FS, "duration": 0.02, "c": C, "t0": 0.03}
 
 
@@ -292,8 +292,8 @@ def test_chunks_and_blocks_do_not_change_the_result(monkeypatch: pytest.MonkeyPa
     points = np.random.default_rng(2).uniform(-5.0, 5.0, (50, 3)) + [0.0, 30.0, 0.0]
     common: dict[str, Any] = TRACE | {"tx": tx, "rx": rx, "velocity": v, "threads": 2, "snr_db": 20.0, "seed": 1}
     whole = simulate(points, np.ones(50), PULSES["rect"], **common).data
-    monkeypatch.setattr("pysas.simulation._TASK_SAMPLES", 1000)
-    monkeypatch.setattr("pysas.simulation._BLOCK_BYTES", 60_000)
+    monkeypatch.setattr("pysas.signal.simulation._TASK_SAMPLES", 1000)
+    monkeypatch.setattr("pysas.signal.simulation._BLOCK_BYTES", 60_000)
     seen: list[float] = []
     pieces = simulate(points, np.ones(50), PULSES["rect"], progress=seen.append, **common).data
     np.testing.assert_array_equal(whole, pieces)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pysas import _checks, plot
-from pysas.formats import depth_maps, files, io
+from pysas import _checks, loading, plot
+from pysas.formats import depth_maps, files
 from pysas.formats.containers import container
 from pysas.imaging import words
 from pysas.model.echoes import Echoes
@@ -85,7 +85,8 @@ def add_overwrite(sub: argparse.ArgumentParser) -> None:
 
 def add_scene(sub: argparse.ArgumentParser) -> None:
     """A file of echoes and where they are imaged, for `read` and `chosen_grid`, and how."""
-    sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed (.npz, .h5)")
+    sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed, in any format that is known (docs/formats.md)")
+    sub.add_argument("--channel", metavar="NAME", help="of a file whose channels have pings of their own")
     sub.add_argument("--c", type=float, metavar="C", help="sound speed, m/s (default: the file's)")
     sub.add_argument("--x", type=span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
     sub.add_argument("--y", type=span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
@@ -139,7 +140,7 @@ def spacing(text: str, axes: str = "along x and along y") -> tuple[float, float]
 
 def read(arguments: argparse.Namespace) -> Echoes:
     """Echoes of the file that `add_scene` names, with the sound speed that it asks for."""
-    echoes = io.load_echoes(arguments.raw)
+    echoes = loading.load_echoes(arguments.raw, channel=arguments.channel)
     return echoes if arguments.c is None else echoes.replace(c=_checks.number("--c", arguments.c, positive=True))
 
 
@@ -170,7 +171,7 @@ def chosen_grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, st
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(arguments, name) is not None]
         if given:
             raise ValueError(f"--grid {arguments.grid}: expected without {', '.join(given)}")
-        return io.load_image(arguments.grid).grid, f"grid of {arguments.grid}"
+        return loading.load_image(arguments.grid).grid, f"grid of {arguments.grid}"
     relief = None if arguments.depth_map is None else depth_maps.load(arguments.depth_map)
     if relief is not None:
         z, why = float(np.median(relief[2])), f"z of {arguments.depth_map}"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pysas import metrics, reference
+from pysas import loading, metrics, reference
 from pysas.cli import demo_scene
 from pysas.cli.common import (
     Command,
@@ -45,7 +45,8 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     png = str(folder / "image.png") if with_picture else None
     require_places([read], data=output, picture=png, overwrite=arguments.overwrite)
     picture, echoes, summary = imaged(
-        read, io.load_echoes(read), demo_scene.grid(), "given grid", progress, Choices(threads=arguments.threads, truth=True),
+        read, loading.load_echoes(read), demo_scene.grid(), "given grid", progress,
+        Choices(threads=arguments.threads, truth=True),
         output=output, png=png, overwrite=arguments.overwrite,
     )  # fmt: skip
     progress.step("checking")

@@ -12,7 +12,7 @@ from pysas.model.beam import Beam
 from pysas.model.echoes import Echoes
 from pysas.model.grid import Grid
 from pysas.model.pulse import LFM
-from pysas.simulation import Element, simulate
+from pysas.signal.simulation import Element, simulate
 
 CHANNELS = 6
 _DEPTH = 6.0

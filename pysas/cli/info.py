@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pysas import loading
 from pysas._checks import FloatArray
 from pysas.cli.common import Command, Progress
 from pysas.formats import io
@@ -38,7 +39,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
         print(json.dumps(values) if arguments.json else text)
         return 0
-    item = io.load(arguments.file)
+    item = loading.load(arguments.file)
     if isinstance(item, Image):
         values = {"kind": "image", "shape": list(item.data.shape), "report": item.report.as_dict()}
         text = repr(item)

@@ -13,7 +13,7 @@ from pysas.cli import demo_scene
 from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places
 from pysas.formats import files, io
 from pysas.model.pulse import LFM
-from pysas.simulation import simulate
+from pysas.signal.simulation import simulate
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -90,7 +90,7 @@ def write_file(path: str, fields: Mapping[str, Array | Streamed], overwrite: boo
 
 
 def load(path: str | os.PathLike[str]) -> Echoes | Image:
-    """Read what `save` wrote, or any file of the same schema.
+    """Read what `save` wrote, or any file of the same schema; `loading.load` takes other formats too.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
             result, known = _read_image(file)
         unknown = sorted(file.fields.keys() - known)
     if unknown:
-        warnings.warn(f"{text}: ignored, not in {schema}: {', '.join(unknown)}", stacklevel=2)
+        warnings.warn(f"{text}: ignored, not in {schema}: {', '.join(unknown)}", stacklevel=4)
     return result
 
 
@@ -153,22 +153,6 @@ def named(path: str) -> Iterator[None]:
         raise MemoryError(f"{path}: {error}") from error
     except Exception as error:
         raise ValueError(f"{path}: {error or type(error).__name__}") from error
-
-
-def load_echoes(path: str | os.PathLike[str]) -> Echoes:
-    """As `load`, of a file that holds echoes; ValueError where it holds an image."""
-    item = load(path)
-    if not isinstance(item, Echoes):
-        raise ValueError(f"{files.name(path)}: found an image, expected echoes")
-    return item
-
-
-def load_image(path: str | os.PathLike[str]) -> Image:
-    """As `load`, of a file that holds an image; ValueError where it holds echoes."""
-    item = load(path)
-    if not isinstance(item, Image):
-        raise ValueError(f"{files.name(path)}: found echoes, expected an image")
-    return item
 
 
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the

@@ -1,0 +1,25 @@
+"""The formats that are known: a new one is a module with a `FORMAT`, and its line here."""
+
+from __future__ import annotations
+
+from pysas.formats import own
+from pysas.formats.format import Format, Look
+
+# in the order in which they are asked whether a file is theirs
+FORMATS: tuple[Format, ...] = (own.FORMAT,)
+
+
+def recognised(look: Look) -> Format | None:
+    """The format of a file, or None."""
+    return next((known for known in FORMATS if known.sniff(look)), None)
+
+
+def by_name(path: str, kind: type) -> Format:
+    """The format in which something of type `kind` is written to a file of this name."""
+    suffix = Look(path).suffix
+    fitting = [known for known in FORMATS if issubclass(kind, known.writes)]
+    for known in fitting:
+        if suffix in known.suffixes:
+            return known
+    ends = ", ".join(dict.fromkeys(end for known in fitting for end in known.suffixes))
+    raise ValueError(f"{path}: found suffix {suffix!r}, expected one of {ends}")

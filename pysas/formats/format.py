@@ -1,0 +1,103 @@
+"""What a file format is to the house: how it is recognised, read and written, and what is kept of what it holds."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pysas.formats import files, io
+from pysas.model.echoes import Echoes
+from pysas.model.image import Image
+
+Item = Echoes | Image
+_HEAD = 1024  # bytes of a file that are looked at
+
+
+class Look:
+    """A first look at a file: its name, its first bytes and, where it is a container of named arrays, their names.
+
+    Nothing that is wrong with a file is an error here: `read` will tell.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = files.name(path)
+        self.suffix = Path(self.path).suffix.lower()
+
+    @cached_property
+    def folder(self) -> bool:
+        """Whether it is a folder."""
+        return os.path.isdir(self.path)
+
+    @cached_property
+    def head(self) -> bytes:
+        """The first bytes of a regular file."""
+        with contextlib.suppress(OSError, ValueError), files.opened(self.path) as file:
+            return file.read(_HEAD)
+        return b""
+
+    @cached_property
+    def entries(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+        """Shape and type of the arrays of an .npz, .h5 or .zarr by their names; none where they cannot be told."""
+        with contextlib.suppress(Exception), io.opened(self.path) as file:
+            return dict(file.fields)
+        return {}
+
+
+def _none(look: Look) -> bool:
+    return False
+
+
+def _unread(path: str, channel: str | None) -> Item:
+    raise ValueError(f"{path}: found a format that is written and not read")
+
+
+def _unwritten(path: str, item: Any, overwrite: bool) -> None:
+    raise ValueError(f"{path}: found a format that is read and not written")
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format of files.
+
+    Attributes
+    ----------
+    name : str
+        One word, by which commands name it.
+    title : str
+        What it is, in a line.
+    suffixes : of str
+        Names of files that hold it end so, with the dot, in lower case.
+    holds : str
+        "echoes", "images" or both.
+    kept, lost : str
+        What of a file's content is taken over, and what is not, for the table of docs/formats.md.
+    sniff : callable
+        Whether a file, by its `Look`, is of this format. It never raises, and is quick. Default: no file is.
+    read : callable
+        `read(path, channel)`: what the file holds; errors name the file. `channel`: one that the file names, or None.
+    write : callable
+        `write(path, item, overwrite)`: a new file, which takes its name when complete.
+    writes : of type
+        What `write` takes.
+    extra : str, optional
+        pysas-sonar[extra] installs what the format needs.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    holds: str
+    kept: str
+    lost: str
+    sniff: Callable[[Look], bool] = _none
+    read: Callable[[str, str | None], Item] = _unread
+    write: Callable[[str, Any, bool], None] = _unwritten
+    writes: tuple[type, ...] = ()
+    extra: str | None = None

@@ -1,0 +1,36 @@
+"""The formats of this project, in .npz, .h5 and .zarr, as one of those that files may have."""
+
+from __future__ import annotations
+
+from pysas.formats import io
+from pysas.formats.format import Format, Item, Look
+from pysas.model.echoes import Echoes
+from pysas.model.image import Image
+
+
+def _sniff(look: Look) -> bool:
+    return "schema" in look.entries
+
+
+def _read(path: str, channel: str | None) -> Item:
+    if channel is not None:
+        raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
+    return io.load(path)
+
+
+def _write(path: str, item: Echoes | Image, overwrite: bool) -> None:
+    io.save(path, item, overwrite=overwrite)
+
+
+FORMAT = Format(
+    name="pysas",
+    title="pysas-echoes-1 and pysas-image-1",
+    suffixes=(".npz", ".h5", ".zarr"),
+    holds="echoes, images",
+    kept="all",
+    lost="nothing",
+    sniff=_sniff,
+    read=_read,
+    write=_write,
+    writes=(Echoes, Image),
+)
