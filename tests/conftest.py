@@ -35,8 +35,18 @@ def data_dir() -> Path:
 NO_EXTENSION = "needs the compiled extension pysas.engine._core, which is not built"
 
 
+def names_numba(item: pytest.Item) -> bool:
+    """Whether it is Numba's turn of a test that all engines take."""
+    params = getattr(item, "callspec", None) and item.callspec.params
+    turn = params and params.get("engine", params.get("backend"))
+    return turn in ("numba", ("numba", None))
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    if importlib.util.find_spec("pysas.engine._core") is None:
-        for item in items:
-            if item.get_closest_marker("cpp"):
-                item.add_marker(pytest.mark.skip(reason=NO_EXTENSION))
+    built = importlib.util.find_spec("pysas.engine._core") is not None
+    for item in items:
+        if names_numba(item):
+            item.add_marker(pytest.mark.numba)
+        if not built and item.get_closest_marker("cpp"):
+            item.add_marker(pytest.mark.skip(reason=NO_EXTENSION))

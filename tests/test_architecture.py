@@ -180,6 +180,18 @@ def test_only_the_engine_imports_compiled_code() -> None:
     assert {name: found for name, text in outside.items() if (found := compiled_imports(text))} == {}
 
 
+def test_numba_s_engine_is_the_same_with_the_extension_and_without() -> None:
+    """On this .ci/run relies where it leaves tests marked `numba` to the installation that has both."""
+    assert {name for name, found in GRAPH.items() if "pysas.engine.native" in found} == {"pysas.engine", "pysas.engine.cpp"}
+    assert {name for name, found in GRAPH.items() if "pysas.engine.cpp" in found} == {"pysas.engine"}
+    asking = [
+        node.name
+        for node in ast.walk(ast.parse(MODULES["pysas.engine"]))
+        if isinstance(node, ast.FunctionDef) and "native." in ast.unparse(node)
+    ]
+    assert asking == ["backend_name", "show_config"]
+
+
 def engines_compared(text: str) -> list[str]:
     """Comparisons with an engine's name."""
     return [
