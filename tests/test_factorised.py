@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 
+import answers
 import numpy as np
 import pytest
 from scenes import SCENES, bright, moving, straight, survey
@@ -58,7 +59,7 @@ def answer(echoes, grid, weights=None, count=300):
     """Some pixels, the oracle's image there, and its level."""
     wanted = np.arange(grid.size) if grid.mask is None else np.flatnonzero(grid.mask)
     pixels = np.random.default_rng(5).choice(wanted, min(count, wanted.size), replace=False)
-    return pixels, *pysas.reference.exact(echoes, grid, pixels, weights)
+    return pixels, *answers.exact(echoes, grid, pixels, weights)
 
 
 def error(image, echoes, grid, weights=None, count=300, right=None):
