@@ -2,6 +2,7 @@
 
 import functools
 
+import answers
 import numpy as np
 import pytest
 from test_tolerance import engine
@@ -44,7 +45,7 @@ def exact(echoes, grid, number=14):
     pixels = np.sort(np.random.default_rng(1).choice(grid.size, min(number, grid.size), replace=False))
     weights = circular.view_weights(echoes, grid, pixels)
     both = [
-        pysas.reference.exact(echoes, pysas.Grid.points(point[None]), weights=weight)
+        answers.exact(echoes, pysas.Grid.points(point[None]), weights=weight)
         for point, weight in zip(grid.coordinates(pixels), weights, strict=True)
     ]
     sums, levels = (np.concatenate(values) for values in zip(*both, strict=True))
