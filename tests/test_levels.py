@@ -6,6 +6,7 @@ Expected: `pysas.reference.exact`, the float64 oracle. An image keeps tol, or it
 import warnings
 from unittest import mock
 
+import answers
 import numpy as np
 import pytest
 from scenes import noise, straight
@@ -77,7 +78,7 @@ def kept(plan, data, exact, level, case):
 def test_sums_beside_bright_samples_keep_tol_or_say_that_they_do_not(seed):
     name, echoes, grid = scene(seed)
     single = echoes.replace(data=echoes.data.astype(np.complex64))
-    exact, level = pysas.reference.exact(single, grid)
+    exact, level = answers.exact(single, grid)
     for tol in 10.0 ** -np.random.default_rng(seed).uniform(1, 5, 3):
         for backend in BACKENDS:
             kept(pysas.plan(single, grid, tol, "backprojection", backend=backend), single.data, exact, level, (name, backend))
@@ -88,7 +89,7 @@ def test_trees_beside_bright_samples_keep_tol_or_are_left(seed):
     """Sub-images have nodes around the image, that hold bright echoes beside it, and none for frequencies beyond the band."""
     name, echoes, grid = scene(seed)
     single = echoes.replace(data=echoes.data.astype(np.complex64))
-    exact, level = pysas.reference.exact(single, grid)
+    exact, level = answers.exact(single, grid)
     used = 0
     for backend in BACKENDS:
         plan = with_trees(single, grid, backend)
@@ -118,7 +119,7 @@ def test_ends_of_what_was_recorded_are_a_records_ends(seed, backend):
     name, echoes, grid = scene(seed)
     single = echoes.replace(data=echoes.data.astype(np.complex64))
     both = (single, within_longer_records(single, seed))
-    exact, level = pysas.reference.exact(single, grid)
+    exact, level = answers.exact(single, grid)
     for tol in 10.0 ** -np.random.default_rng(seed).uniform(1, 5, 3):
         plans = [pysas.plan(e, grid, tol, "backprojection", backend=backend) for e in both]
         reports = [kept(plan, e.data, exact, level, (name, backend)) for plan, e in zip(plans, both, strict=True)]
@@ -138,7 +139,7 @@ def test_what_rings_of_what_was_recorded_is_part_of_the_image(backend):
     cut = echoes.replace(data=data)
     longer = within_longer_records(cut)
     plan = pysas.plan(longer, grid, 1e-3, "backprojection", backend=backend)
-    report = kept(plan, longer.data, *pysas.reference.exact(cut, grid), (backend,))
+    report = kept(plan, longer.data, *answers.exact(cut, grid), (backend,))
     assert report.predicted_error <= 1e-3
 
 
@@ -156,7 +157,7 @@ def test_what_float64_cannot_tell_apart_in_what_was_recorded_is_said(backend):
 @pytest.mark.parametrize("seed", [100, 101, 102, 104])
 def test_double_precision_keeps_tol_beside_bright_samples(seed, tol, backend):
     name, echoes, grid = scene(seed)
-    exact, level = pysas.reference.exact(echoes, grid)
+    exact, level = answers.exact(echoes, grid)
     image = pysas.backproject(echoes, grid, tol, backend=backend)
     assert pysas.metrics.relative_error(image.data, exact, level) <= tol, name
 
@@ -181,7 +182,7 @@ def test_what_rings_of_bright_ends_is_part_of_the_image(backend):
     data = echoes.data.copy()
     data[..., :9] += 1e18
     plan = pysas.plan(echoes, grid, 1e-3, "backprojection", backend=backend)
-    report = kept(plan, data, *pysas.reference.exact(echoes.replace(data=data), grid), (backend,))
+    report = kept(plan, data, *answers.exact(echoes.replace(data=data), grid), (backend,))
     assert report.predicted_error <= 1e-3
 
 
@@ -229,7 +230,7 @@ def burst(ping, side, off, level):
 def test_a_burst_in_one_ping_just_outside_of_what_its_pixels_read(ping, side, off, level, backend):
     echoes, grid = burst(ping, side, off, level)
     plan = pysas.plan(echoes, grid, 1e-3, "backprojection", backend=backend)
-    kept(plan, echoes.data, *pysas.reference.exact(echoes, grid), (ping, side, off, level, backend))
+    kept(plan, echoes.data, *answers.exact(echoes, grid), (ping, side, off, level, backend))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -237,7 +238,7 @@ def test_a_burst_in_one_ping_just_outside_of_what_its_pixels_read(ping, side, of
 def test_a_burst_in_one_ping_within_reach_of_trees(off, backend):
     echoes, grid = burst(75, "behind", off, 1e6)
     plan = with_trees(echoes, grid, backend)
-    kept(plan, echoes.data, *pysas.reference.exact(echoes, grid), (off, backend))
+    kept(plan, echoes.data, *answers.exact(echoes, grid), (off, backend))
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -321,7 +322,7 @@ def test_hard_ends_of_oversampled_records(backend, over):
     echoes = pysas.Echoes(data, fs=over * bandwidth, fc=FC, tx=tx, rx=tx, c=C, t0=0.04, bandwidth=bandwidth)
     far = C / 2 * (0.04 + samples / echoes.fs)
     grid = pysas.Grid.plane(np.arange(-16, 16) * 0.01, np.linspace(30, far, 40) + 3.3e-4)
-    exact, level = pysas.reference.exact(echoes, grid)
+    exact, level = answers.exact(echoes, grid)
     for tol in (1e-2, 1e-3, 1e-4, 1e-6, 1e-9):
         image = pysas.backproject(echoes, grid, tol, backend=backend)
         assert pysas.metrics.relative_error(image.data, exact, level) <= tol, tol
