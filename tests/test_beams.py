@@ -2,6 +2,7 @@
 
 import functools
 
+import answers
 import numpy as np
 import pytest
 from scenes import PLANE, C, moving, ring, straight
@@ -87,7 +88,7 @@ def test_a_sum_has_each_pings_image_by_its_weight(engine, beam):
 def test_a_beams_image_keeps_tol(engine, beam):
     echoes = moving().replace(beam=beam)
     pixels = np.arange(0, PLANE.size, 31)
-    exact, level = pysas.reference.exact(echoes, PLANE, pixels)
+    exact, level = answers.exact(echoes, PLANE, pixels)
     for tol in (1e-2, 1e-4, 1e-8):
         image = pysas.backproject(echoes, PLANE, tol, backend=engine)
         assert pysas.metrics.relative_error(image.data.ravel()[pixels], exact, level) <= tol
@@ -97,7 +98,7 @@ def test_circular_sums_weigh_alike(beam):
     """The package's plain sum has its own delays, interpolation and angles."""
     echoes = hushed(moving()).replace(beam=beam)
     pixels = np.arange(0, PLANE.size, 31)
-    exact, level = pysas.reference.exact(echoes, PLANE, pixels)
+    exact, level = answers.exact(echoes, PLANE, pixels)
     found = pysas.circular.weighted_sum(echoes, PLANE, pixels=pixels)
     assert pysas.metrics.relative_error(found, exact, level) < 1e-5  # a little of soft ends lies where W falls
 
@@ -111,7 +112,7 @@ def test_weights_uniform_in_view_angle_go_by_the_half_angle(engine, beam):
     np.testing.assert_array_equal(weights.any(axis=2), lit)
     np.testing.assert_allclose(weights.sum(axis=(1, 2)), lit.sum(axis=1) * echoes.n_channel, rtol=1e-12)
     expected = pysas.circular.weighted_sum(echoes, few, weights).ravel()
-    _, level = pysas.reference.exact(echoes, few)
+    _, level = answers.exact(echoes, few)
     image = pysas.backproject(echoes, few, 1e-3, weights="uniform-angle", backend=engine)
     assert np.linalg.norm(image.data.ravel() - expected) < 1e-3 * max(np.linalg.norm(level), np.linalg.norm(expected))
 
@@ -171,7 +172,7 @@ def test_bright_samples_that_a_taper_all_but_hides(engine):
     ranges = (echoes.start_time[:, None] + np.arange(echoes.n_sample) / echoes.fs) * C / 2
     data = echoes.data * (1 + 1e3 * np.exp(-(((ranges - 20.62) / 0.1) ** 2) / 2))[:, None]
     echoes = echoes.replace(data=data, beam=pysas.Beam([0, 1, 0], 0.06, 0.3, taper=0.5), bandwidth=36e3)
-    exact, level = pysas.reference.exact(echoes, grid)
+    exact, level = answers.exact(echoes, grid)
     for tol in (1e-3, 1e-5, 1e-7):
         image = pysas.backproject(echoes, grid, tol, backend=engine)
         assert pysas.metrics.relative_error(image.data, exact, level) <= tol
@@ -188,7 +189,7 @@ def test_weights_on_a_ring_of_fans():
     assert expected.min() < 0.9 and expected.max() == 1
     # samples of 1 where the point is heard, which W leaves as they are but for 1e-4 of a record's ends, far away
     lit = echoes.replace(data=np.ones_like(echoes.data), beam=beam)
-    _, level = pysas.reference.exact(lit, pysas.Grid.points(point))
+    _, level = answers.exact(lit, pysas.Grid.points(point))
     assert level[0] == pytest.approx(np.sqrt(np.sum(expected**2)), rel=1e-3)
 
 

@@ -3,6 +3,7 @@
 Answers are those of `reference.exact`, which crops the traces itself, and of echoes that were cropped here.
 """
 
+import answers
 import numpy as np
 import pytest
 from scenes import PLANE, C, bright, moving, ring, straight, survey
@@ -39,7 +40,7 @@ def filled(echoes, fill):
 def error(image, echoes, grid, count=150):
     """Error on some pixels by the norm of tol's promise."""
     pixels = np.random.default_rng(1).choice(grid.size, min(count, grid.size), replace=False)
-    return pysas.metrics.relative_error(image.data.ravel()[pixels], *pysas.reference.exact(echoes, grid, pixels))
+    return pysas.metrics.relative_error(image.data.ravel()[pixels], *answers.exact(echoes, grid, pixels))
 
 
 SCENES = {
@@ -59,7 +60,7 @@ def test_random_windows_keep_tol(name, engine):
     make, grid = SCENES[name]
     echoes = windowed(make(), channels=name != "a window of a ping")
     pixels = np.random.default_rng(1).choice(grid.size, 150, replace=False)
-    exact, level = pysas.reference.exact(echoes, grid, pixels)
+    exact, level = answers.exact(echoes, grid, pixels)
     for dtype, tolerances in ((np.complex64, (1e-1, 1e-3, 1e-5)), (np.complex128, (1e-4, 1e-7, 1e-10))):
         given = echoes.replace(data=echoes.data.astype(dtype))
         for tol in tolerances:
@@ -119,15 +120,15 @@ def test_the_oracle_crops():
             rx=echoes.rx[ping : ping + 1, channel], velocity=echoes.velocity[ping : ping + 1], c=C,
             t0=float(echoes.start_time[ping]) + first / echoes.fs, bandwidth=echoes.bandwidth,
         )  # fmt: skip
-        image, level = pysas.reference.exact(one, FEW)
+        image, level = answers.exact(one, FEW)
         total, power = total + image, power + level**2
-    exact, level = pysas.reference.exact(echoes, FEW)
+    exact, level = answers.exact(echoes, FEW)
     assert np.linalg.norm(exact - total) < 1e-11 * np.linalg.norm(total)
     assert np.linalg.norm(level - np.sqrt(power)) < 1e-11 * np.linalg.norm(level)
     # samples no float64 squares hold, beside others that are no numbers
     with np.errstate(invalid="ignore"):
         data = echoes.data * 2.0**600
-    large = pysas.reference.exact(echoes.replace(data=data), FEW)
+    large = answers.exact(echoes.replace(data=data), FEW)
     assert np.linalg.norm(large[0] * 2.0**-600 - exact) < 1e-13 * np.linalg.norm(exact)
 
 
@@ -144,7 +145,7 @@ def test_a_term_on_a_windows_edge_counts(engine):
         image = method(echoes, pysas.Grid.points(points), 1e-8, backend=engine)
         assert image.report.terms == 4
         assert np.array_equal(image.data != 0, [False, True, True, True, True, False])
-    assert np.array_equal(pysas.reference.exact(echoes, pysas.Grid.points(points))[1] != 0, image.data != 0)
+    assert np.array_equal(answers.exact(echoes, pysas.Grid.points(points))[1] != 0, image.data != 0)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -158,7 +159,7 @@ def test_lines_across_a_windows_edges_are_dark_beyond(tol, engine):
     for edge in (100, 300):
         grid = pysas.Grid.plane(np.arange(64) * 0.02, 30.0 + (edge - 10.03 + np.arange(40) * 0.5) * sample)
         image = pysas.backproject(echoes, grid, tol, backend=engine)
-        lit = pysas.reference.exact(echoes, grid)[1] != 0
+        lit = answers.exact(echoes, grid)[1] != 0
         assert np.array_equal(image.data != 0, lit) and 0.3 < np.mean(lit) < 0.7
 
 
@@ -199,7 +200,7 @@ def test_samples_that_were_not_recorded_may_hold_anything(engine):
     with pytest.raises(ValueError, match="data: non-finite sample at ping 7, channel 3"):
         pysas.backproject(echoes.replace(data=data), FEW, backend=engine)
     with pytest.raises(ValueError, match="ping 7, channel 3, sample 400"):
-        pysas.reference.exact(echoes.replace(data=data), FEW)
+        answers.exact(echoes.replace(data=data), FEW)
 
 
 def padded(seed=0):
@@ -223,7 +224,7 @@ def test_mask_shortens_traces_and_leaves_out_those_with_holes(method, engine):
     assert "2 of 96 traces left out: non-finite samples" in made.report.notes
     whole = raw.replace(data=np.nan_to_num(raw.data, nan=0.0, posinf=0.0, neginf=0.0), valid=ends)
     pixels = np.arange(0, FEW.size, 7)
-    exact, level = pysas.reference.exact(whole, FEW, pixels, weights)
+    exact, level = answers.exact(whole, FEW, pixels, weights)
     assert pysas.metrics.relative_error(made.data.ravel()[pixels], exact, level) <= 1e-4
     with pytest.raises(ValueError, match="data: non-finite sample at ping 0, channel 0"):
         method(raw, FEW, backend=engine)
@@ -325,7 +326,7 @@ def test_the_plain_sum_of_circular_crops():
     soft = echoes.replace(data=echoes.data * np.sin(np.pi / 2 * rise) ** 2, valid=np.tile([200, 700], (4, 1)))
     ones = np.ones((FEW.size, 4, 6))
     found = pysas.circular.weighted_sum(filled(soft, np.nan), FEW, ones)
-    exact, level = pysas.reference.exact(soft, FEW)
+    exact, level = answers.exact(soft, FEW)
     assert pysas.metrics.relative_error(found, exact, level) < 1e-5
 
 
