@@ -319,7 +319,10 @@ def test_relief_is_summed_directly_where_an_engine_has_no_trees_for_it(name, mon
         pysas.ffbp(echoes, grid, 1e-3, fallback=False)
 
 
-def test_relief_of_which_some_lies_under_the_track_is_summed_directly(compiled, monkeypatch):
+@pytest.mark.cpp
+def test_relief_of_which_some_lies_under_the_track_is_summed_directly(monkeypatch):
+    """By one instruction set, as these trees take seconds to plan: tiles of both kinds are summed by each of them below."""
+    monkeypatch.setenv("PYSAS_BACKEND", "cpp")
     monkeypatch.setattr("pysas.engine.cpp.TREES_MUST_PAY", False)
     echoes = tracked(line(np.arange(256) * 0.03 - 3.8), 4.0)
     y = np.arange(-20, 350) * 0.05
