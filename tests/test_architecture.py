@@ -16,6 +16,8 @@ from import_graph import GRAPH, MODULES, ROOT, SCRIPTS, imports, reach, within
 
 import pysas
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 DATA_MODEL = {"pysas._checks"} | {name for name in MODULES if within(name, "pysas.model")}
 TOOLS = {"pysas._pool", "pysas._pool.leaving"}  # threads for any loop: without NumPy, so without a delay
 STRIPS = {"pysas.survey.strips", "pysas.survey.pings"}  # of a survey what sums; the rest of it keeps stores

@@ -21,6 +21,8 @@ import pysas
 from pysas.signal import blocks
 from pysas.signal.baseband import demodulate
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FS, FC, BAND, T0 = 500e3, 100e3, 30e3, 0.031
 N = 12_000
 

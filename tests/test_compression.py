@@ -21,6 +21,8 @@ from pysas.model.pulse import LFM
 from pysas.signal import blocks
 from pysas.signal.compression import compress
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FS, FC, N = 40e3, 100e3, 600
 TUKEY = LFM(FC, 20e3, 2e-3, "tukey", 0.5)
 RECT = LFM(FC, 20e3, 2e-3)

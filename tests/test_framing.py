@@ -12,6 +12,8 @@ import pysas
 from pysas.planning import framing
 from pysas.planning.framing import assumed_height, span
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 C, FS, FC, BAND = 1500.0, 40e3, 100e3, 20e3
 
 

@@ -27,6 +27,8 @@ from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 from pysas.model.pulse import LFM
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 SUFFIXES = (".npz", ".h5")
 
 

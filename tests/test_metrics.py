@@ -15,6 +15,8 @@ from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 from pysas.reference import exact
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 
 def sinc_width(level: float) -> float:
     return 2 * float(brentq(lambda x: np.sinc(x) - level, 0.1, 0.9))

@@ -31,6 +31,7 @@ def test_good_data_are_told_nothing(case: Any) -> None:
     assert mistakes.spoken(pysas.compress(case.echoes)) == []
 
 
+@pytest.mark.reference
 def test_mistakes_are_named(case: Any) -> None:
     """All of those that these data can show, which are most of them."""
     shown = [mistake for mistake in mistakes.MISTAKES if mistake.shown(case)]

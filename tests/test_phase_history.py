@@ -11,6 +11,8 @@ from pysas.model.grid import Grid
 from pysas.reference.direct import exact
 from pysas.signal.phase_history import from_phase_history
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 C = 299792458.0
 STEP = 1.5e6
 

@@ -14,6 +14,8 @@ from pysas.model.echoes import Beam, Echoes
 from pysas.model.grid import Grid
 from pysas.reference import direct, exact
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FS, FC, C = 40e3, 100e3, 1500.0
 EPS = float(np.finfo(np.longdouble).eps)
 

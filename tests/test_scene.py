@@ -16,6 +16,8 @@ from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 from pysas.model.pulse import LFM
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 PING, CHANNEL, SAMPLE = 4, 3, 10
 PULSE = LFM(100e3, 20e3, 1e-3)
 ABEAM: Any = [0, 1, 0]

@@ -16,6 +16,8 @@ from pysas.model.pulse import LFM
 from pysas.signal.echoing import delays
 from pysas.signal.simulation import AliasingWarning, Element, _aliased, simulate
 
+pytestmark = pytest.mark.reference  # no engine takes part
+
 FloatArray = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
