@@ -71,10 +71,6 @@ CpuWords read_words() noexcept {
     return words;
 }
 
-#else
-
-CpuWords read_words() noexcept { return {}; }
-
 #endif
 
 }  // namespace
@@ -89,8 +85,14 @@ Isa level_of(const CpuWords& words) noexcept {
 }
 
 Isa detect() noexcept {
+#if defined(PYSAS_X86)
     static const Isa found = level_of(read_words());
     return found;
+#elif defined(__aarch64__) || defined(_M_ARM64)
+    return Isa::neon;
+#else
+    return Isa::baseline;
+#endif
 }
 
 const char* name_of(Isa isa) noexcept {
@@ -99,6 +101,8 @@ const char* name_of(Isa isa) noexcept {
             return "avx2";
         case Isa::avx512:
             return "avx512";
+        case Isa::neon:
+            return "neon";
         case Isa::baseline:
             break;
     }

@@ -105,7 +105,7 @@ typedef struct pysas_options {
     double tol;      /* 1e-1 to 1e-5 (complex64), to 1e-10 (complex128) */
     int32_t dtype;   /* of samples and image: PYSAS_COMPLEX64 or PYSAS_COMPLEX128 */
     int32_t threads; /* 0: all processors. The image does not depend on it */
-    const char* isa; /* "baseline", "avx2", "avx512", or NULL: PYSAS_ISA of the environment, else the best */
+    const char* isa; /* "baseline", "avx2", "avx512", "neon", or NULL: PYSAS_ISA of the environment, else the best */
     int (*progress)(double share,
                     void* user); /* called now and then from the calling thread; not 0 stops. May be NULL */
     void* user;

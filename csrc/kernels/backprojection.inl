@@ -330,7 +330,7 @@ struct Ball {
 
     template <typename Real>
     explicit Ball(const TileJob<Real>& tile) {
-        double ends[2 * tile_rows][3];
+        double ends[2 * tile_rows][3] = {};
         const double more = tile.heights.z ? (tile.high - tile.low) / 2 : 0;
         for (int r = 0; r < tile.rows; ++r) {
             for (int axis = 0; axis < 3; ++axis) {

@@ -31,6 +31,12 @@ constexpr Costs known[] = {
      3.7, 0.4, 45.0, 18.0, 1.4,
      8, {{all, 1.0}, {all, 1.0}, {all, 1.0}, {all, 1.0}},
      {4.8, 15.0, {8.0, 1.8}, {15.0, 1.7}}},
+    // not measured: avx2's by the instructions that a sum's terms and coefficients take beside that one's, with
+    // look-ups in more than two registers counted twice: docs/performance.md
+    {"neon",
+     1.07, 0.2, 20.0, 7.0, 0.25,
+     8, {{1, 1.0}, {2, 1.4}, {4, 3.0}, {all, 3.1}},
+     {1.9, 8.5, {3.2, 1.3}, {14.0, 1.5}}},
 };
 // clang-format on
 

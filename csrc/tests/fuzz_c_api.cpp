@@ -155,8 +155,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         survey.bandwidth = 0;
         survey.fc = survey.c / std::hypot(grid.along[0], grid.along[1]) * in.number(0.05, 1);
     }
-    const char* sets[] = {nullptr, "baseline", "avx2", "avx512", "mmx"};
-    options.isa = sets[in.byte() % 5];
+    const char* sets[] = {nullptr, "baseline", "avx2", "avx512", "neon", "mmx"};
+    options.isa = sets[in.byte() % 6];
 
     pysas_plan* plan = nullptr;
     if (pysas_plan_create(&survey, &grid, &options, &plan) != PYSAS_OK) return 0;

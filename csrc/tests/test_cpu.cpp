@@ -57,6 +57,8 @@ void this_machine_is_what_the_compiler_says() {
                             __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl");
     CHECK((found != pysas::Isa::baseline) == has_avx2);
     CHECK((found == pysas::Isa::avx512) == (has_avx2 && has_avx512));
+#elif defined(__ARM_NEON)
+    CHECK(found == pysas::Isa::neon);
 #endif
 }
 
@@ -64,6 +66,7 @@ void names() {
     CHECK(std::strcmp(pysas::name_of(pysas::Isa::baseline), "baseline") == 0);
     CHECK(std::strcmp(pysas::name_of(pysas::Isa::avx2), "avx2") == 0);
     CHECK(std::strcmp(pysas::name_of(pysas::Isa::avx512), "avx512") == 0);
+    CHECK(std::strcmp(pysas::name_of(pysas::Isa::neon), "neon") == 0);
 }
 
 }  // namespace
