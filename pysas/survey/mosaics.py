@@ -37,8 +37,8 @@ class Mosaic:
     shape : (rows, columns)
     pixel : float
         A pixel's side, m.
-    crs : str or None
-        Its name, "EPSG:32632" where it has one there; None: local metres.
+    crs : str, or None in local metres
+        Its name, "EPSG:32632" where it has one there.
     bounds : (left, bottom, right, top)
         Edges, m.
     coverage : float

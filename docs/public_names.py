@@ -1,0 +1,20 @@
+"""What is public of pysas, by its own lists: the names that the reference must have."""
+
+import importlib
+import inspect
+
+MODULES = (
+    "pysas", "pysas.circular", "pysas.comparison", "pysas.metrics", "pysas.motion", "pysas.navigation", "pysas.plot",
+    "pysas.reference", "pysas.reference.bounds", "pysas.reference.ftcg", "pysas.reference.rasters", "pysas.simulation",
+    "pysas.survey", "pysas.tracks",
+)  # fmt: skip
+
+
+def public_names() -> set[str]:
+    """Dotted names of all modules above and of what they offer: by `__all__`, or without one what is defined there."""
+    found = set(MODULES)
+    for name in MODULES:
+        module = importlib.import_module(name)
+        own = [key for key, value in vars(module).items() if getattr(value, "__module__", None) == name and key[0] != "_"]
+        found |= {f"{name}.{key}" for key in getattr(module, "__all__", own)}
+    return found
