@@ -13,11 +13,11 @@ import pysas
 
 # %%
 # The sonar is at 100 kHz with 20 kHz of bandwidth. It advances by 2.5 cm a ping, 8 m above the bed, at z = 0, and looks to
-# positive y through a beam of 20 degrees.
+# positive y through a beam of 16 degrees.
 
 pulse = pysas.LFM(fc=100e3, bandwidth=20e3, duration=1e-3, window="tukey")
 track = pysas.tracks.straight(480, spacing=0.025, height=8.0, start=(-6, 0, 0))
-beam = pysas.Beam((0, 1, 0), length=0.05, half_angle=np.deg2rad(10), taper=0.5)
+beam = pysas.Beam((0, 1, 0), length=0.1, half_angle=np.deg2rad(8), taper=0.5)
 x, y = np.meshgrid([-2.0, 0.0, 2.0], [16.0, 19.0, 22.0])
 targets = np.stack([x.ravel(), y.ravel(), np.zeros(9)], axis=1)
 
