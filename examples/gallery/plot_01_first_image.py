@@ -22,7 +22,17 @@ x, y = np.meshgrid([-2.0, 0.0, 2.0], [16.0, 19.0, 22.0])
 targets = np.stack([x.ravel(), y.ravel(), np.zeros(9)], axis=1)
 
 raw = pysas.simulate(
-    targets, np.ones(9), pulse, tx=track.position, rx=track.position, fs=40e3, t0=0.02, duration=0.014, beam=beam, snr_db=0, seed=1
+    targets,
+    np.ones(9),
+    pulse,
+    tx=track.position,
+    rx=track.position,
+    fs=40e3,
+    t0=0.02,
+    duration=0.014,
+    beam=beam,
+    snr_db=0,
+    seed=1,
 )
 print(raw)
 

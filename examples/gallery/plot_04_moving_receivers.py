@@ -20,7 +20,16 @@ receivers = pysas.tracks.array(track, n_channel=8, spacing=0.05)
 beam = pysas.Beam((0, 1, 0), length=0.1, half_angle=np.deg2rad(7), taper=0.5)
 targets = np.array([[0.0, 12.0, 0.0], [0.0, 24.0, 0.0], [0.0, 36.0, 0.0]])
 raw = pysas.simulate(
-    targets, np.ones(3), pulse, tx=track.position, rx=receivers, velocity=track.velocity, fs=40e3, t0=0.015, duration=0.036, beam=beam
+    targets,
+    np.ones(3),
+    pulse,
+    tx=track.position,
+    rx=receivers,
+    velocity=track.velocity,
+    fs=40e3,
+    t0=0.015,
+    duration=0.036,
+    beam=beam,
 )
 moving = pysas.compress(raw, window="hann")
 

@@ -36,6 +36,8 @@ for ax, sway in zip(axes.flat, (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 8e-3), strict=Tru
     level = level or peak
     loss = 20 * np.log10(peak / level)
     shown = ax.imshow(image.db(level), extent=(-1.2, 1.2, 19.2, 20.8), origin="lower", vmin=-40, vmax=0, cmap="inferno")
-    ax.set(title=f"unknown sway of {1e3 * sway:g} mm: {loss:+.1f} dB", xlabel="x (along-track), m", ylabel="y (across-track), m")
+    ax.set(
+        title=f"unknown sway of {1e3 * sway:g} mm: {loss:+.1f} dB", xlabel="x (along-track), m", ylabel="y (across-track), m"
+    )
 figure.colorbar(shown, ax=axes, label="dB relative to the peak with the true track")
 plt.show()

@@ -34,7 +34,17 @@ track = pysas.tracks.straight(320, spacing=0.025, height=height, start=(-4, 0, 0
 beam = pysas.Beam((0, 1, 0), length=0.1, half_angle=np.deg2rad(6), taper=0.5)
 pulse = pysas.LFM(fc=100e3, bandwidth=30e3, duration=0.4e-3, window="tukey", window_parameter=0.3)
 raw = pysas.simulate(
-    points, strength, pulse, tx=track.position, rx=track.position, fs=60e3, t0=0.0205, duration=0.0115, beam=beam, snr_db=25, seed=5
+    points,
+    strength,
+    pulse,
+    tx=track.position,
+    rx=track.position,
+    fs=60e3,
+    t0=0.0205,
+    duration=0.0115,
+    beam=beam,
+    snr_db=25,
+    seed=5,
 )
 grid = pysas.Grid.plane(np.arange(-2.5, 2.5, 0.0125), np.arange(15.5, 22.5, 0.0125))
 image = pysas.focus(pysas.compress(raw, window="hann"), grid, tol=1e-2)
@@ -43,5 +53,7 @@ image = pysas.focus(pysas.compress(raw, window="hann"), grid, tol=1e-2)
 # The level of 0 dB is a percentile, not the peak, so that the few brightest pixels do not darken the rest.
 
 figure, ax = plt.subplots(figsize=(7, 7), layout="constrained")
-pysas.plot.quicklook(image, ax=ax, reference="percentile", dynamic_range=35, title="a cylinder on a rippled bed, and its shadow")
+pysas.plot.quicklook(
+    image, ax=ax, reference="percentile", dynamic_range=35, title="a cylinder on a rippled bed, and its shadow"
+)
 plt.show()

@@ -42,7 +42,9 @@ figure.colorbar(drawn, ax=axes[0])
 grid = pysas.Grid.plane(np.arange(-0.4, 0.6, 0.005), np.arange(19.8, 20.2, 0.005))
 for ax, (taper, fan) in zip(axes[1:], fans.items(), strict=True):
     image = pysas.focus(echoes.replace(beam=fan), grid, tol=1e-4)
-    shown = ax.imshow(image.db(), extent=(-0.4, 0.6, 19.8, 20.2), origin="lower", vmin=-50, vmax=0, cmap="inferno", aspect="auto")
+    shown = ax.imshow(
+        image.db(), extent=(-0.4, 0.6, 19.8, 20.2), origin="lower", vmin=-50, vmax=0, cmap="inferno", aspect="auto"
+    )
     ax.set(title=f"taper {taper}: two targets", xlabel="x (along-track), m")
     share = image.report.share_left_out
     print(f"taper {taper}: {image.report.terms:.3g} terms, {100 * share:.0f} % left out for the beam")

@@ -16,7 +16,7 @@ import pysas
 # Twelve receivers, of whose phase centres four overlap from ping to ping, 8 m above a rough seabed with five targets. The sonar
 # sways by 5 cm; its inertial system is wrong by 2 cm/s.
 
-fc, band, length, spacing, depth, n = 100e3, 20e3, 0.10, 0.05, 8.0, 56
+fc, band, length, spacing, depth, n = 100e3, 20e3, 0.10, 0.05, 8.0, 44
 half_angle = np.arcsin(1500 / fc / length)  # the transmitter's first null
 advance = (12 - 4) * spacing / 2
 true = pysas.tracks.perturbed(
@@ -35,11 +35,11 @@ def arms(track):
     return {"tx": track.position, "rx": receivers, "velocity": track.velocity, "beam": beam}
 
 
-points, strength = pysas.simulation.seabed((-11, 11), (17.5, 27.5), density=40.0, depth=depth, roughness=0.03, seed=1)
+points, strength = pysas.simulation.seabed((-9, 9), (17.5, 27.5), density=25.0, depth=depth, roughness=0.03, seed=1)
 points = np.concatenate([points, np.column_stack([targets, np.full(5, depth)])])
 strength = np.concatenate([strength, np.full(5, 40.0)])
-pulse = pysas.LFM(fc, band, 0.5e-3, window="tukey", window_parameter=0.2)
-raw = pysas.simulate(points, strength, pulse, fs=40e3, t0=2 * 20 / 1500, duration=0.0117, snr_db=10, seed=1, **arms(true))
+pulse = pysas.LFM(fc, band, 0.4e-3, window="tukey", window_parameter=0.5)
+raw = pysas.simulate(points, strength, pulse, fs=45e3, t0=2 * 20 / 1500, duration=0.0117, snr_db=10, seed=1, **arms(true))
 echoes = pysas.compress(raw.replace(**arms(claim)), window="boxcar", inverse=0.01)
 
 # %%
@@ -52,7 +52,8 @@ grid = pysas.Grid.plane(np.arange(-2.2, 2.2, 0.02), np.arange(20.2, 26.4, 0.0125
 fixed, report = pysas.autofocus(motion.apply(echoes), grid, prior=motion)
 
 # %%
-# The image with the claimed track, with the one found and with the true one, on one scale.
+# The image with the claimed track, with the one found and with the true one, on one scale. What lies faintly beside each target are
+# ambiguities: receivers of 5 cm sample a transmitter of 10 cm that sparsely.
 
 tracks = {"claimed": echoes, "found": fixed, "true": echoes.replace(**arms(true))}
 images = {name: pysas.focus(one, grid, tol=1e-2) for name, one in tracks.items()}

@@ -23,7 +23,7 @@ every = pysas.plan(pysas.Echoes(data, **common), pysas.Grid.plane(x, y), tol=1e-
 
 beam = pysas.Beam((0, 1, 0), length=0.1, half_angle=np.deg2rad(8), taper=0.5)
 middle = np.hypot(x / 8, (y[:, None] - 20) / 10) < 1
-fewer = pysas.plan(pysas.Echoes(data, beam=beam, **common), pysas.Grid.plane(x, y).masked(middle), tol=1e-3)
+fewer = pysas.plan(pysas.Echoes(data, beam=beam, **common), pysas.Grid.plane(x, y, mask=middle), tol=1e-3)
 fewer.explain()
 
 # %%
@@ -32,7 +32,7 @@ fewer.explain()
 images = {"no beam, all pixels": every(data), "a beam and a mask": fewer(data)}
 shares = {name: 1 - image.report.share_left_out for name, image in images.items()}
 figure, axes = plt.subplots(1, 3, figsize=(12, 4.2), layout="constrained")
-for ax, (name, image) in zip(axes, images.items(), strict=True):
+for ax, (name, image) in zip(axes[:2], images.items(), strict=True):
     shown = ax.imshow(image.db(), extent=(-8, 8, 10, 30), origin="lower", vmin=-40, vmax=0, cmap="inferno", aspect="auto")
     ax.set(title=f"noise: {name}", xlabel="x (along-track), m", ylabel="y (across-track), m")
 figure.colorbar(shown, ax=axes[1], label="dB relative to the peak")
