@@ -86,7 +86,7 @@ def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, 
 
 
 class Name(PyXRefRole):
-    """What stands in single backticks in a docstring: a link where it is one of our public names, else an argument or a field."""
+    """What stands in single backticks in a docstring: a link to one of our public names, or an argument or a field."""
 
     def __init__(self) -> None:
         super().__init__(warn_dangling=False)

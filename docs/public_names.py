@@ -1,7 +1,6 @@
 """What is public of pysas, by its own lists: the names that the reference must have."""
 
 import importlib
-import inspect
 
 MODULES = (
     "pysas", "pysas.circular", "pysas.comparison", "pysas.metrics", "pysas.motion", "pysas.navigation", "pysas.plot",

@@ -37,8 +37,8 @@ raw = pysas.simulate(
 print(raw)
 
 # %%
-# `pysas.compress` makes a sharp echo of each pulse, and `pysas.focus` sums the echoes of all pings at each pixel of a grid, to
-# a relative error of `tol`.
+# `pysas.compress` makes a sharp echo of each pulse, and `pysas.focus` sums the echoes of all pings at each pixel of a grid,
+# to a relative error of `tol`.
 
 echoes = pysas.compress(raw, window="hann")
 grid = pysas.Grid.plane(np.arange(-3, 3, 0.0125), np.arange(15, 23, 0.0125), z=0.0)
@@ -46,8 +46,8 @@ image = pysas.focus(echoes, grid, tol=1e-3)
 print(image)
 
 # %%
-# On the left what was recorded, in which a target is a curve as long as the beam is wide; on the right the image, with circles
-# about the true places.
+# On the left what was recorded, in which a target is a curve as long as the beam is wide; on the right the image, with
+# circles about the true places.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 5.2), layout="constrained")
 magnitude = np.abs(echoes.data).T

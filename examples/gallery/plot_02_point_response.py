@@ -2,8 +2,8 @@
 A point's response under windows
 ================================
 
-What a point target looks like in detail: the width of its main lobe and the level of its side lobes, in range by the window of
-the compression, along the track by the taper of the beam. A window buys low side lobes with width.
+What a point target looks like in detail: the width of its main lobe and the level of its side lobes, in range by the window
+of the compression, along the track by the taper of the beam. A window buys low side lobes with width.
 """
 
 import matplotlib.pyplot as plt
@@ -23,9 +23,10 @@ raw = pysas.simulate(
 grid = pysas.Grid.plane(np.arange(-0.4, 0.4, 0.0025), np.arange(19.6, 20.4, 0.0025))
 
 # %%
-# The filter is the pulse's inverse within its band (``inverse``), so that the window alone shapes the spectrum: a matched filter
-# leaves the ripple of a short sweep's spectrum in it. `pysas.metrics` finds the peak between pixels, takes cuts through it and measures them: the resolution (IRW, the width at
-# -3 dB), the peak side lobe (PSLR) and all side lobes together (ISLR).
+# The filter is the pulse's inverse within its band (``inverse``), so that the window alone shapes the spectrum: a matched
+# filter leaves the ripple of a short sweep's spectrum in it. `pysas.metrics` finds the peak between pixels, takes cuts
+# through it and measures them: the resolution (IRW, the width at -3 dB), the peak side lobe (PSLR) and all side lobes
+# together (ISLR).
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True, layout="constrained")
 print(f"{'':24}{'IRW, mm':>10}{'PSLR, dB':>10}{'ISLR, dB':>10}")

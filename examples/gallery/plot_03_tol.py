@@ -2,8 +2,8 @@
 Error against ``tol``
 =====================
 
-You state a relative error and the engine keeps it. Here noise, the hardest data, is imaged at every ``tol`` from 0.1 to 1e-10,
-and each image is held against the exact sum, `pysas.reference.exact`, at some of its pixels.
+You state a relative error and the engine keeps it. Here noise, the hardest data, is imaged at every ``tol`` from 0.1 to
+1e-10, and each image is held against the exact sum, `pysas.reference.exact`, at some of its pixels.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,9 @@
 Moving receivers against stop-and-hop
 =====================================
 
-While an echo travels the sonar moves on. At 2.5 m/s and 40 m of range that is 13 cm, nine wavelengths at 100 kHz. Taken to stand still
-until the echo is there (stop-and-hop), an array puts targets beside their places, and farther off the longer the way is.
+While an echo travels the sonar moves on. At 2.5 m/s and 40 m of range that is 13 cm, nine wavelengths at 100 kHz. Taken to
+stand still until the echo is there (stop-and-hop), an array puts targets beside their places, and farther off the longer the
+way is.
 """
 
 import matplotlib.pyplot as plt

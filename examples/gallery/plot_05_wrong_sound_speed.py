@@ -2,8 +2,8 @@
 A wrong sound speed
 ===================
 
-The sound speed turns times into ranges. Where it is wrong a target lies at another range, which an image does not show, and its
-echoes are summed along the wrong curve, which it does: the target is blurred along the track.
+The sound speed turns times into ranges. Where it is wrong a target lies at another range, which an image does not show, and
+its echoes are summed along the wrong curve, which it does: the target is blurred along the track.
 """
 
 import matplotlib.pyplot as plt
@@ -43,8 +43,9 @@ figure.colorbar(shown, ax=axes, label="dB relative to the peak at the true speed
 plt.show()
 
 # %%
-# The error of the phase at the edge of the aperture is what blurs: a sound speed wrong by a share e bends the curve of an echo's
-# ranges by e twice, once in the time and once in the range, so that at a half-angle a it errs by 2 e r (1/cos a - 1), each way.
+# The error of the phase at the edge of the aperture is what blurs: a sound speed wrong by a share e bends the curve of an
+# echo's ranges by e twice, once in the time and once in the range, so that at a half-angle a it errs by 2 e r (1/cos a - 1),
+# each way.
 
 half_angle = np.deg2rad(6)  # where the beam's taper weighs a half
 for c in speeds:

@@ -2,8 +2,8 @@
 Wrong navigation and what it looks like
 =======================================
 
-An image needs the track to a fiftieth of a wavelength over an aperture. Here the same echoes are imaged with navigation that lacks
-sway of 0.5 to 8 mm rms, at a wavelength of 15 mm: first side lobes rise, then the target breaks into pieces.
+An image needs the track to a fiftieth of a wavelength over an aperture. Here the same echoes are imaged with navigation that
+lacks sway of 0.5 to 8 mm rms, at a wavelength of 15 mm: first side lobes rise, then the target breaks into pieces.
 """
 
 import matplotlib.pyplot as plt
@@ -21,7 +21,8 @@ grid = pysas.Grid.plane(np.arange(-1.2, 1.2, 0.01), np.arange(19.2, 20.8, 0.01))
 straight = pysas.tracks.straight(500, spacing=0.02, start=(-5, 0, 0))
 
 # %%
-# Echoes are made on the track with sway and imaged as if it were straight. All pictures have one scale, the image of the true track's.
+# Echoes are made on the track with sway and imaged as if it were straight. All pictures have one scale, the image of the true
+# track's.
 
 figure, axes = plt.subplots(2, 3, figsize=(11, 5.4), layout="constrained")
 level = None

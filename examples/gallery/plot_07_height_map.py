@@ -2,8 +2,9 @@
 Relief: a height map against a flat bed
 =======================================
 
-A straight track images points at any height sharply. One that sways does not: the sway changes the range by another amount where
-a point stands higher. A depth map given as the grid's heights makes the image sharp, and puts its pixels where they belong.
+A straight track images points at any height sharply. One that sways does not: the sway changes the range by another amount
+where a point stands higher. A depth map given as the grid's heights makes the image sharp, and puts its pixels where they
+belong.
 """
 
 import matplotlib.pyplot as plt

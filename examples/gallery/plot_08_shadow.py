@@ -12,8 +12,8 @@ import numpy as np
 import pysas
 
 # %%
-# A seabed of random scatterers, stronger where ripples face the sonar, 6 m below it. A cylinder 2 m long and 0.6 m high lies on
-# the bed: points behind it are dark, points on it are bright.
+# A seabed of random scatterers, stronger where ripples face the sonar, 6 m below it. A cylinder 2 m long and 0.6 m high lies
+# on the bed: points behind it are dark, points on it are bright.
 
 height, middle, rise = 6.0, 18.0, 0.6
 points, strength = pysas.simulation.seabed((-5, 5), (14, 24), density=350.0, roughness=0.01, seed=5)

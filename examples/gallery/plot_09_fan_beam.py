@@ -2,8 +2,8 @@
 A fan beam and its taper
 ========================
 
-`pysas.Beam` says which pixels a ping lights, and how much a term weighs there. What lies outside of it costs no time and adds no
-noise; how the weight falls at its edges decides the side lobes along the track.
+`pysas.Beam` says which pixels a ping lights, and how much a term weighs there. What lies outside of it costs no time and adds
+no noise; how the weight falls at its edges decides the side lobes along the track.
 """
 
 import matplotlib.pyplot as plt

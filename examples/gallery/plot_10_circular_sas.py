@@ -2,8 +2,8 @@
 Circular SAS and its point spread function
 ==========================================
 
-A sonar that circles a scene sees each point from all sides: its response is a Bessel function, a peak a fifth of a wavelength wide among
-rings. The image of a point is held against the theory, which shares no code with the engine.
+A sonar that circles a scene sees each point from all sides: its response is a Bessel function, a peak a fifth of a wavelength
+wide among rings. The image of a point is held against the theory, which shares no code with the engine.
 """
 
 import matplotlib.pyplot as plt

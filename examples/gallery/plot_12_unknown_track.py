@@ -2,9 +2,9 @@
 A track found from the echoes
 =============================
 
-Navigation knows a track to centimetres, an image needs it to fractions of a millimetre. Where the arrays of neighbouring pings
-overlap, both heard the same seabed from the same place: `pysas.micronavigate` goes from there to the track, and `pysas.autofocus`
-sharpens what bright points are left to say.
+Navigation knows a track to centimetres, an image needs it to fractions of a millimetre. Where the arrays of neighbouring
+pings overlap, both heard the same seabed from the same place: `pysas.micronavigate` goes from there to the track, and
+`pysas.autofocus` sharpens what bright points are left to say.
 """
 
 import matplotlib.pyplot as plt
@@ -13,8 +13,8 @@ import numpy as np
 import pysas
 
 # %%
-# Twelve receivers, of whose phase centres four overlap from ping to ping, 8 m above a rough seabed with five targets. The sonar
-# sways by 5 cm; its inertial system is wrong by 2 cm/s.
+# Twelve receivers, of whose phase centres four overlap from ping to ping, 8 m above a rough seabed with five targets. The
+# sonar sways by 5 cm; its inertial system is wrong by 2 cm/s.
 
 fc, band, length, spacing, depth, n = 100e3, 20e3, 0.10, 0.05, 8.0, 44
 half_angle = np.arcsin(1500 / fc / length)  # the transmitter's first null
@@ -52,8 +52,8 @@ grid = pysas.Grid.plane(np.arange(-2.2, 2.2, 0.02), np.arange(20.2, 26.4, 0.0125
 fixed, report = pysas.autofocus(motion.apply(echoes), grid, prior=motion)
 
 # %%
-# The image with the claimed track, with the one found and with the true one, on one scale. What lies faintly beside each target are
-# ambiguities: receivers of 5 cm sample a transmitter of 10 cm that sparsely.
+# The image with the claimed track, with the one found and with the true one, on one scale. What lies faintly beside each
+# target are ambiguities: receivers of 5 cm sample a transmitter of 10 cm that sparsely.
 
 tracks = {"claimed": echoes, "found": fixed, "true": echoes.replace(**arms(true))}
 images = {name: pysas.focus(one, grid, tol=1e-2) for name, one in tracks.items()}

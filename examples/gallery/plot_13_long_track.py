@@ -2,8 +2,8 @@
 A long track, image by image
 ============================
 
-`pysas.Strip` images a track as it is recorded: pings go in as they come, and an image comes out as soon as no ping to come lights
-it. Memory is that of the beam's footprint, whatever the track's length, and no seam shows between the images.
+`pysas.Strip` images a track as it is recorded: pings go in as they come, and an image comes out as soon as no ping to come
+lights it. Memory is that of the beam's footprint, whatever the track's length, and no seam shows between the images.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,8 @@
 Omega-k and back-projection side by side
 ========================================
 
-On a straight, evenly sampled track the omega-k algorithm images by Fourier transforms. It shares no code with the engine and makes
-the same image; on a track that sways by 2 mm it no longer applies, where back-projection takes the track as it is.
+On a straight, evenly sampled track the omega-k algorithm images by Fourier transforms. It shares no code with the engine and
+makes the same image; on a track that sways by 2 mm it no longer applies, where back-projection takes the track as it is.
 """
 
 import matplotlib.pyplot as plt
@@ -12,8 +12,8 @@ import numpy as np
 import pysas
 
 # %%
-# Seven targets, a monostatic sonar, a straight track in the plane of the targets. The beam shapes the echoes; for the images it is
-# left out, as omega-k knows none and takes echoes as they were recorded.
+# Seven targets, a monostatic sonar, a straight track in the plane of the targets. The beam shapes the echoes; for the images
+# it is left out, as omega-k knows none and takes echoes as they were recorded.
 
 pulse = pysas.LFM(fc=60e3, bandwidth=20e3, duration=1e-3, window="tukey")
 track = pysas.tracks.straight(512, spacing=0.02, start=(-5.11, 0, 0))
@@ -26,8 +26,8 @@ raw = pysas.simulate(
 echoes = pysas.compress(raw, window="hann").replace(beam=None)
 
 # %%
-# Omega-k chooses its own pixels; back-projection is asked for the same ones. The two weigh the ends of the aperture differently
-# unless omega-k is told to weigh as a sum over pings does.
+# Omega-k chooses its own pixels; back-projection is asked for the same ones. The two weigh the ends of the aperture
+# differently unless omega-k is told to weigh as a sum over pings does.
 
 omega = pysas.reference.omega_k(echoes, weight="backprojection").crop(x=(-2, 2), y=(14.5, 18.5))
 sums = pysas.focus(echoes, omega.grid, tol=1e-4)

@@ -2,8 +2,8 @@
 Arrays in, arrays out, and xarray
 =================================
 
-Samples of your own are any complex array that NumPy can show, an image is one too. With ``xarray`` installed an image becomes a
-labelled array, whose axes are in metres.
+Samples of your own are any complex array that NumPy can show, an image is one too. With ``xarray`` installed an image becomes
+a labelled array, whose axes are in metres.
 """
 
 import matplotlib.pyplot as plt
@@ -32,7 +32,8 @@ plain = pysas.backproject_arrays(data, pixels, fs=fs, fc=fc, c=c, tx=tx, rx=tx, 
 print(type(plain), plain.dtype, plain.shape)
 
 # %%
-# The same with `pysas.Echoes` and `pysas.Grid`, which keep what belongs to the samples; `np.asarray` and indexing give pixels.
+# The same with `pysas.Echoes` and `pysas.Grid`, which keep what belongs to the samples; `np.asarray` and indexing give
+# pixels.
 
 echoes = pysas.Echoes(data, fs=fs, fc=fc, c=c, tx=tx, rx=tx, t0=0.018, bandwidth=30e3)
 image = pysas.backproject(echoes, pysas.Grid.plane(np.arange(-1.5, 1.5, 0.01), np.arange(15, 18, 0.01)))

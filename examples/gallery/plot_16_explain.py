@@ -2,8 +2,8 @@
 What a plan leaves out
 ======================
 
-Before anything is summed the planner looks at the scene: which terms can be left out, which engine is faster, what ``tol`` allows. A
-plan says all of this in words, and images many data sets of one geometry.
+Before anything is summed the planner looks at the scene: which terms can be left out, which engine is faster, what ``tol``
+allows. A plan says all of this in words, and images many data sets of one geometry.
 """
 
 import matplotlib.pyplot as plt
@@ -12,7 +12,8 @@ import numpy as np
 import pysas
 
 # %%
-# Two scenes of the same size: one that needs all there is, and one with a beam, a mask and a record longer than the image needs.
+# Two scenes of the same size: one that needs all there is, and one with a beam, a mask and a record longer than the image
+# needs.
 
 track = pysas.tracks.perturbed(800, spacing=0.025, start=(-10, 0, 0), sway=0.05, correlation=4.0, seed=8)
 rng = np.random.default_rng(8)

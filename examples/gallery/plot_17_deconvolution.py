@@ -2,9 +2,9 @@
 Deconvolution of a circular image
 =================================
 
-The image of a full circle is the scene convolved with a point spread function that theory knows: rings about each point. A Wiener
-filter flattens the band that was heard, and noise with it; what lies outside of the band no filter brings back. Where the scene is
-known to be points, `pysas.circular.fit_points` finds these.
+The image of a full circle is the scene convolved with a point spread function that theory knows: rings about each point. A
+Wiener filter flattens the band that was heard, and noise with it; what lies outside of the band no filter brings back. Where
+the scene is known to be points, `pysas.circular.fit_points` finds these.
 """
 
 import matplotlib.pyplot as plt
