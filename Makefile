@@ -78,7 +78,7 @@ fuzz:
 in_bench = mkdir -p build/bench && ln -sfn ../../bench build/bench/bench && cd build/bench && $(PYTHON)
 
 bench:
-	$(in_bench) -m bench.backprojection --readme ../../README.md
+	$(in_bench) -m bench.figures --write ../../docs/figures.md
 
 bench-quick:
 	$(in_bench) -m bench.backprojection --quick

@@ -8,7 +8,6 @@ timed on an eighth of the pings: its time a term does not depend on how many the
 import argparse
 import json
 import os
-import re
 import time
 from pathlib import Path
 
@@ -124,6 +123,14 @@ def table(rows):
     return "\n".join(lines)
 
 
+def measured(quick=False):
+    """All rows."""
+    if quick:
+        return run(96, 2048, 512, (1, 2), 3, quick=True)
+    large = run(2048, 4096, 2048, (1,), 1, large=True, scenes={"monostatic": {}})
+    return run(1024, 4096, 1024, (1, 2), 3) + large
+
+
 def small_job():
     """Seconds of a small job with a plan, beyond the time of its own sums: median of 50."""
     echoes, grid = random_stripmap(64, 1024, 128)
@@ -140,23 +147,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small scenes, under a minute")
     parser.add_argument("--json", metavar="FILE", help="also write the rows there")
-    parser.add_argument("--readme", metavar="FILE", help="replace the table between its bench comments")
     args = parser.parse_args()
-    if args.quick:
-        rows = run(96, 2048, 512, (1, 2), 3, quick=True)
-    else:
-        rows = run(1024, 4096, 1024, (1, 2), 3)
-        rows += run(2048, 4096, 2048, (1,), 1, large=True, scenes={"monostatic": {}})
-    text = table(rows)
-    print(text)
+    rows = measured(args.quick)
+    print(table(rows))
     print(f"\ncall overhead of a small job (64 pings, 128²) with a plan: {1e6 * small_job():.0f} microseconds")
     if args.json:
         Path(args.json).write_text(json.dumps({"config": pysas.show_config("dict"), "rows": rows}, indent=1), encoding="utf-8")
-    if args.readme:
-        path = Path(args.readme)
-        old = path.read_text(encoding="utf-8")
-        new = re.sub(r"(<!-- bench -->\n).*?(\n<!-- /bench -->)", lambda m: m[1] + text + m[2], old, flags=re.S)
-        path.write_text(new, encoding="utf-8")
 
 
 if __name__ == "__main__":

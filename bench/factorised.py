@@ -4,7 +4,7 @@ Echoes are random and band-limited, the hardest case. Both engines run on the sa
 errors are against `pysas.reference.exact` on random pixels. Where an image is too large for a direct sum in reasonable time
 its time is that of a strip of its lines, scaled.
 
-    python -m bench.factorised            the cases of the README's table
+    python -m bench.factorised            the cases of the table in docs/ffbp.md
     python -m bench.factorised --growth   time against size, 1024 to 4096 (8192 with --large)
     python -m bench.factorised --sweep    scene x tol: error, time, ratio
     python -m bench.factorised --figures FOLDER   growth.png, difference.png

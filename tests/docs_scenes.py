@@ -28,9 +28,9 @@ def line(folder: Path) -> None:
 def circle(folder: Path) -> None:
     """circle.npz: a full circle 10 m about a scene, 5 m above it."""
     track = pysas.tracks.circular(400, 10.0, height=5.0)
-    pulse = pysas.LFM(50e3, 15e3, 1e-3, "tukey")
+    pulse = pysas.LFM(50e3, 15e3, 1e-3, "tukey", 0.3)
     raw = pysas.simulate(
-        [[0, 0, 0], [0.2, 0.1, 0], [-0.3, 0.25, 0]], [1, 1, 1], pulse, tx=track.position, rx=track.position, fs=30e3,
+        [[0, 0, 0], [0.2, 0.1, 0], [-0.3, 0.25, 0]], [1, 1, 1], pulse, tx=track.position, rx=track.position, fs=40e3,
         t0=0.0138, duration=0.0035,
     )  # fmt: skip
     pysas.save(folder / "circle.npz", raw)

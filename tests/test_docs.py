@@ -91,8 +91,10 @@ def recorded(names: dict) -> None:
 
 
 def alike(names: dict) -> None:
-    assert abs(names["image"]).max() > 0
-    assert (names["image"] == names["same"].data).all()
+    """To rounding: the program's pixels are first + j step, those of the page's grid differ by a rounding of float64."""
+    image, same = names["image"], names["same"].data
+    assert abs(same).max() > 100
+    assert abs(image - same).max() <= 1e-6 * abs(same).max()
 
 
 def round_about(names: dict) -> None:
@@ -178,5 +180,5 @@ if shutil.which("mkoctfile") and shutil.which("octave"):  # not where there is n
         assert found, run.stderr
         # 96 echoes of amplitude 1 of a point at (0.3, 12)
         assert [float(part) for part in found.groups()] == pytest.approx([96, 0.3, 12], rel=1e-3)
-        assert refused == "x: expected even spacing"
+        assert refused.endswith("x: expected even spacing")
         assert 0 < float(difference) < 1e-3
