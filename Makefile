@@ -7,7 +7,7 @@ FUZZ_SECONDS ?= 60
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 comma = ,
 
-.PHONY: build test lint types sanitize tsan qemu fuzz bench bench-quick bench-report bench-check
+.PHONY: build test lint types sanitize tsan qemu fuzz bench bench-quick bench-report bench-check docs docs-links
 
 build:
 	$(PYTHON) -m pip install '.[dev]'
@@ -91,3 +91,13 @@ bench-report:
 # ratios of speeds against those stored in bench/ratios.json
 bench-check:
 	$(in_bench) -m bench.check
+
+# the site, from docs/, the docstrings and examples/gallery, all of which is run; a warning, a link within the site that leads
+# nowhere, or a public name that the reference lacks ends it. What a build writes beside its sources is made anew each time.
+docs:
+	rm -rf docs/reference/names docs/gallery
+	sphinx-build -q -W --keep-going -n -j auto -d build/doctrees -b html docs build/docs
+
+# links out of the site, which need the internet
+docs-links:
+	PYSAS_GALLERY=False sphinx-build -q -n -d build/doctrees-links -b linkcheck docs build/docs-links

@@ -1,8 +1,8 @@
 """The figures of docs/figures.md: `python -m bench.figures --write docs/figures.md` makes all of them on one machine in one go.
 
 A table stands between two comments of the page, `<!-- bench NAME -->` and `<!-- /bench -->`, under a line that says what it
-was measured on; the text about the tables is written by hand and stays. It takes about half an hour; `--quick` runs small scenes and
-prints what would be written.
+was measured on; the text about the tables is written by hand and stays. It takes about half an hour; `--quick` runs small
+scenes and prints what would be written.
 """
 
 import datetime

@@ -1,8 +1,8 @@
 """The engines on the scene on which other public engines were measured: `python -m bench.peers` prints a table of both.
 
-1024 pings of 4096 samples, a crooked track, 100 kHz, 1024 x 1024 pixels of 2 cm. Medians of five interleaved runs of the whole call
-after a warm-up; errors are against `pysas.reference.exact` on random pixels. The others' rows are what was measured of them
-once, elsewhere: they are not run here.
+1024 pings of 4096 samples, a crooked track, 100 kHz, 1024 x 1024 pixels of 2 cm. Medians of five interleaved runs of the whole
+call after a warm-up; errors are against `pysas.reference.exact` on random pixels. The others' rows are what was measured of
+them once, elsewhere: they are not run here.
 """
 
 import time

@@ -72,7 +72,7 @@ sphinx_gallery_conf = {
     "matplotlib_animations": False,
     "image_srcset": [],
     "remove_config_comments": True,
-    "plot_gallery": os.environ.get("PYSAS_GALLERY", "True"),
+    "plot_gallery": os.environ.get("PYSAS_GALLERY", "True"),  # False: for a look at the pages alone
 }
 
 linkcheck_anchors = False

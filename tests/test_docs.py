@@ -105,6 +105,25 @@ def mapped(names: dict) -> None:
     assert names["found"].missing == 0 and 0.5 < names["found"].coverage <= 1
 
 
+# Files and figures
+
+
+def test_what_the_readme_names_is_there() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\]\(([^)#:]+)\)", text)) | set(re.findall(r"`((?:docs|examples)/[^` ]+)`", text))
+    assert len(named) > 20
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
+def test_every_table_of_figures_has_its_place() -> None:
+    """`bench.figures` puts a table between the two comments of its name."""
+    (body,) = re.findall(r"^TABLES = \{\n(.*?)^\}", (ROOT / "bench" / "figures.py").read_text(encoding="utf-8"), re.M | re.S)
+    page = (DOCS / "figures.md").read_text(encoding="utf-8")
+    tables = re.findall(r"<!-- bench (\w+) -->\n(.*?)<!-- /bench -->", page, re.S)
+    assert sorted(name for name, _ in tables) == sorted(re.findall(r'^    "(\w+)":', body, re.M))
+    assert all(text.count("|---") >= 1 for _, text in tables)
+
+
 # The reference
 
 
