@@ -1,14 +1,16 @@
 """Build of the optional C++ parts: the extension pysas.engine._core and the C library; everything else is in pyproject.toml.
 
-One `build_ext` compiles the kernels once for each instruction set, with that set's flags, and links them into both. Where
-the C++ does not compile the package installs without it and runs on Numba. With PYSAS_WERROR=1 in the environment warnings
-are errors and a failed build fails the installation, so that a build that must have the extension cannot lose it in silence.
+One `build_ext` compiles the kernels once for each instruction set, with that set's flags, and links them into both; it says
+what it compiles, which pip shows with -v. Where the C++ does not compile the package installs without it and runs on Numba.
+With PYSAS_WERROR=1 in the environment warnings are errors and a failed build fails the installation, so that a build that
+must have the extension cannot lose it in silence.
 """
 
 import os
 import platform
 import shutil
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -25,7 +27,7 @@ if WINDOWS:
     LIBRARY = "pysas.dll"
 else:
     # contraction off: every fused multiply-add is written as one, so that compilers cannot make results differ
-    FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
+    FLAGS = ["-O3", "-g0", "-std=c++17", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra"] + ["-Werror"] * STRICT
     LIBRARY = "libpysas.dylib" if sys.platform == "darwin" else "libpysas.so"
 
 CORE = [str(path) for room in ("core", "planning") for path in sorted(Path("csrc", room).glob("*.cpp"))]
@@ -37,6 +39,10 @@ TABLE = [
 ]
 SETS = {row[0].strip(): row[3 if WINDOWS else 2].split() for row in TABLE if row[1].strip() == MACHINE}
 MACROS = [("PYSAS_SETS", "".join(f"PYSAS_SET({name})" for name in SETS))]
+
+
+def say(text: str) -> None:
+    print(f"pysas: {text}", flush=True)
 
 
 class OptionalBuild(build_ext):
@@ -57,28 +63,50 @@ class OptionalBuild(build_ext):
 
     def build_extension(self, extension: Pybind11Extension) -> None:
         try:
-            sets = [([f"csrc/isa/{name}.cpp"], [], SETS.get(name, [])) for name in ("baseline", *SETS)]
-            rest = [([source], MACROS, []) for source in CORE]
-            with ThreadPoolExecutor(os.cpu_count()) as pool:  # a set takes 15 to 25 s, a file of the core 1 to 3 s
-                core = [made for objects in pool.map(lambda job: self._objects(*job), sets + rest) for made in objects]
-            self._library(core)
-            extension.extra_objects = core
+            began = time.monotonic()
+            own = ["csrc", "csrc/include"]
+            sets = [(f"csrc/isa/{name}.cpp", [], SETS.get(name, []), own) for name in ("baseline", *SETS)]
+            bind = [(source, [], [], extension.include_dirs) for source in extension.sources]
+            core = [(source, MACROS, [], own) for source in CORE]
+            jobs = [*sets, *bind, *core]  # the longest first: a set takes 15 to 25 s, a file of bind 10 s, of the core 1 to 3 s
+            at_once = os.cpu_count() or 1
+            compiler = getattr(self.compiler, "compiler_cxx", ["MSVC"])[0]
+            names = ", ".join(["baseline", *SETS])
+            say(f"{compiler} compiles {len(jobs)} files, {at_once} at a time; instruction sets for {MACHINE}: {names}")
+            with ThreadPoolExecutor(at_once) as pool:
+                objects = list(pool.map(lambda job: self._object(*job), jobs))
+            bound = objects[len(sets) : len(sets) + len(bind)]
+            shared = objects[: len(sets)] + objects[len(sets) + len(bind) :]
+            say(f"compiled in {time.monotonic() - began:.0f} s; linking {LIBRARY} and {extension.name}")
+            self._library(shared)
+            extension.sources, extension.extra_objects = [], bound + shared
+            extension.extra_link_args += self._exports("PyInit_*")
             super().build_extension(extension)
         except Exception as error:
             self._give_up(error)
 
-    def _objects(self, sources: list[str], macros: list[tuple[str, str]], flags: list[str]) -> list[str]:
-        include = ["csrc", "csrc/include"]
-        return self.compiler.compile(
-            sources, output_dir=self.build_temp, macros=[*macros, ("PYSAS_BUILD", "1")], include_dirs=include,
+    def _object(self, source: str, macros: list[tuple[str, str]], flags: list[str], include: list[str]) -> str:
+        began = time.monotonic()
+        (made,) = self.compiler.compile(
+            [source], output_dir=self.build_temp, macros=[*macros, ("PYSAS_BUILD", "1")], include_dirs=include,
             extra_postargs=[*FLAGS, *flags],
         )  # fmt: skip
+        say(f"{source} {' '.join(flags)} {time.monotonic() - began:.1f} s".replace("  ", " "))
+        return str(made)
+
+    def _exports(self, pattern: str) -> list[str]:
+        """What lets the names of `pattern` alone out, as templates of the standard library ignore -fvisibility."""
+        if sys.platform != "linux":
+            return []
+        script = Path(self.build_temp, f"{pattern.rstrip('*')}.map")
+        script.write_text(f"{{ global: {pattern}; local: *; }};\n", encoding="utf-8")
+        return [f"-Wl,--version-script={script}"]
 
     def _library(self, objects: list[str]) -> None:
         """The C library and its header, beside the package's modules."""
-        threads = [] if WINDOWS else ["-pthread"]
+        flags = [] if WINDOWS else ["-pthread", *self._exports("pysas_*")]
         built = Path(self.build_temp, LIBRARY)
-        self.compiler.link_shared_object(objects, str(built), extra_postargs=threads, target_lang="c++")
+        self.compiler.link_shared_object(objects, str(built), extra_postargs=flags, target_lang="c++")
         for folder in self.folders:
             for source, place in ((built, "lib"), (Path("csrc/include/pysas.h"), "include")):
                 (folder / "pysas" / place).mkdir(parents=True, exist_ok=True)

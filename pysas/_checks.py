@@ -191,13 +191,13 @@ def threads(value: Any) -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def warn(text: str) -> None:
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn whoever called pysas, however many of its own functions lie between."""
     frame, level = sys._getframe(1), 3
     inside = ("pysas", "numpy", "contextlib")  # `usual_errors` among them
     while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] in inside:
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)
 
 
 def optional(module: str, extra: str) -> ImportError:

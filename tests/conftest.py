@@ -32,6 +32,9 @@ def data_dir() -> Path:
     return Path(name)
 
 
+if importlib.util.find_spec("pysas.engine._core") is None:  # Numba is meant, here and in subprocesses: nobody need be told
+    os.environ.setdefault("PYSAS_BACKEND", "numba")
+
 NO_EXTENSION = "needs the compiled extension pysas.engine._core, which is not built"
 
 

@@ -1,6 +1,7 @@
 """The C library: through ctypes against the oracle and the Python engine, and the C example, built with plain cc."""
 
 import ctypes
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -502,6 +503,7 @@ def test_options_of_older_callers(library):
         assert image(library, echoes, grid, 1e-3, change=lambda s, g, o, n=size: setattr(o, "struct_size", n)) == 6
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("make", [straight, far])
 def test_the_example(tmp_path, make):
     echoes = make()

@@ -60,6 +60,7 @@ def test_delays_satisfy_their_equation(kind):
 
 
 def test_backend_choice(monkeypatch):
+    monkeypatch.delenv("PYSAS_BACKEND", raising=False)
     built = native.extension() is not None
     assert backend_name() == ("cpp" if built else "numba") and backend_name("numba") == "numba"
     monkeypatch.setenv("PYSAS_BACKEND", "numba")

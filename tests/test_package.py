@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import ast
+import importlib.machinery
 import importlib.metadata
 import importlib.resources
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pysas
-from pysas.engine import native
+from pysas.engine import SlowEngineWarning, engine_of, native
 
 DISTRIBUTION = "pysas-sonar"
 CONFIG = {"pysas", "backend", "processor", "extension", "threads", "python", "numpy", "scipy", "numba"}
@@ -69,6 +74,111 @@ def test_a_checkout_that_hides_the_installed_package_says_so(
     monkeypatch.syspath_prepend(tmp_path / "pysas" / "..")
     with pytest.warns(UserWarning, match="hides the installed"):
         assert native.extension() is None
+
+
+def gone(name: str = native.MODULE) -> None:
+    """In place of `native.core`: what Python says where no file of this Python is a module's."""
+    raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def broken() -> None:
+    raise ImportError("/lib/libstdc++.so.6:\n version `GLIBCXX_3.4.30' not found")
+
+
+@pytest.fixture
+def unsaid(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Nobody chose an engine, nor was told that it is Numba."""
+    monkeypatch.delenv("PYSAS_BACKEND", raising=False)
+    native.warn_of_numba.cache_clear()
+    yield
+    native.warn_of_numba.cache_clear()
+
+
+def test_numba_unasked_is_told_once(unsaid: None, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder) -> None:
+    monkeypatch.setattr(native, "core", gone)
+    monkeypatch.setattr(native, "_compiled", lambda folder: [])
+    config = pysas.show_config("dict")
+    assert config is not None and (config["backend"], config["extension"]) == ("numba", "not built")
+    assert not recwarn  # who looks is told by what it says
+    plans = [pysas.plan(*small_scene()) for _ in range(2)]
+    (warning,) = recwarn
+    assert warning.category is SlowEngineWarning and warning.filename == __file__
+    for part in ("Numba", "two fifths", "half a minute", "extension is not built.", "compiler", "PYSAS_BACKEND=numba"):
+        assert part in str(warning.message)
+    assert all(plan.backend == "numba" for plan in plans)
+
+
+@pytest.mark.parametrize("how", ["argument", "environment"])
+def test_numba_that_is_asked_for_is_silent(unsaid: None, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "core", gone)
+    if how == "environment":
+        monkeypatch.setenv("PYSAS_BACKEND", "numba")
+    assert engine_of("numba" if how == "argument" else "auto").name == "numba"  # a warning is an error here
+
+
+@pytest.mark.cpp
+def test_cpp_is_silent(unsaid: None) -> None:
+    assert engine_of().name == "cpp" and native.absence() == ""
+
+
+def test_why_there_is_no_extension_is_told(unsaid: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "core", gone)
+    monkeypatch.setattr(native, "_compiled", lambda folder: ["_core.cpython-39-x86_64-linux-gnu.so"])
+    with pytest.warns(SlowEngineWarning, match=r"is built for another Python: _core\.cpython-39-x86_64-linux-gnu\.so\."):
+        engine_of()
+    for core, reason in (
+        (lambda: gone("libfirst"), "broken: No module named 'libfirst'"),
+        (broken, "broken: /lib/libstdc++.so.6: version `GLIBCXX_3.4.30' not found"),
+    ):
+        native.warn_of_numba.cache_clear()
+        monkeypatch.setattr(native, "core", core)
+        config = pysas.show_config("dict")
+        assert config is not None and config["extension"] == reason
+        with pytest.warns(SlowEngineWarning, match=re.escape(f"extension is {reason}.")):
+            engine_of()
+        with pytest.raises(ValueError, match=re.escape(f"backend='cpp': the C++ extension is {reason}: use")):
+            engine_of("cpp")
+
+
+def test_compiled_modules_of_any_python_are_found(tmp_path: Path) -> None:
+    names = ["_core.cp312-win_amd64.pyd", "_core.cpython-312-darwin.so"]
+    for name in [*names, "_core.pyi", "core.so", "_numba.py"]:
+        (tmp_path / name).touch()
+    assert native._compiled(str(tmp_path)) == names and native._compiled(str(tmp_path / "none")) == []
+
+
+def test_a_copy_without_extension_tells_so_on_standard_error_alone(tmp_path: Path) -> None:
+    """A whole process: the sources without what was compiled, an extension that does not load, one of another Python."""
+    copy = tmp_path / "pysas"
+    shutil.copytree(Path(pysas.__file__).parent, copy, ignore=shutil.ignore_patterns("*.so", "*.pyd", "lib"))
+    engine = copy / "engine"
+    echoes, _ = small_scene()
+    pysas.save(tmp_path / "raw.npz", echoes)
+    environment = {name: value for name, value in os.environ.items() if name != "PYSAS_BACKEND"}
+    environment["PYTHONPATH"] = str(tmp_path)
+    command = [sys.executable, "-m", "pysas", "info", "raw.npz", "--json"]
+    suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
+    for file, reason in (
+        ("", "is not built."),
+        ("_core.cpython-39-x86_64-linux-gnu.so", "is built for another Python: _core.cpython-39-x86_64-linux-gnu.so."),
+        (f"_core{suffix}", "is broken: "),
+    ):
+        if file:
+            (engine / file).write_bytes(b"not a library")
+        run = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
+        assert json.loads(run.stdout)
+        (line,) = run.stderr.splitlines()
+        assert line.startswith("pysas: warning: pysas runs on Numba") and f"extension {reason}" in line
+    silent = environment | {"PYSAS_BACKEND": "numba"}
+    run = subprocess.run(command, cwd=tmp_path, env=silent, check=True, capture_output=True, text=True)
+    assert run.stderr == "" and json.loads(run.stdout)
+
+
+def small_scene() -> tuple[pysas.Echoes, pysas.Grid]:
+    tx = np.zeros((8, 3))
+    tx[:, 0] = np.arange(8) * 0.02
+    echoes = pysas.Echoes(np.ones((8, 900), "c8"), fs=4e4, fc=1e5, tx=tx, rx=tx, t0=0.02, bandwidth=3e4)
+    return echoes, pysas.Grid.plane(np.arange(8) * 0.01, 18 + np.arange(8) * 0.01)
 
 
 def test_types_are_shipped() -> None:

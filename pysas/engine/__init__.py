@@ -11,6 +11,7 @@ from typing import Any
 from pysas import _checks
 from pysas.engine import native
 from pysas.engine.interface import AnyEngine, Engine, Parts, Planning
+from pysas.engine.native import SlowEngineWarning
 from pysas.engine.traces import BLOCK, MONOSTATIC, MOVING, STOP_AND_HOP
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Engine",
     "Parts",
     "Planning",
+    "SlowEngineWarning",
     "backend_name",
     "engine_of",
     "get_include",
@@ -40,18 +42,30 @@ BACKENDS = ("auto", *ENGINES)
 
 def backend_name(backend: str = "auto") -> str:
     """The backend that will run: the argument, else PYSAS_BACKEND, else C++ where it was built."""
-    name = _checks.choice("backend", backend, BACKENDS)
-    if name == "auto":
-        name = _checks.choice("PYSAS_BACKEND", os.environ.get("PYSAS_BACKEND", "auto"), BACKENDS)
+    name = _asked_for(backend)
     built = native.extension() is not None
     if name == "cpp" and not built:
-        raise ValueError("backend='cpp': the C++ extension is not built: use 'numba' or 'auto'")
+        raise ValueError(f"backend='cpp': the C++ extension is {native.absence()}: use 'numba' or 'auto'")
     return ("cpp" if built else "numba") if name == "auto" else name
 
 
+def _asked_for(backend: str) -> str:
+    name = _checks.choice("backend", backend, BACKENDS)
+    return name if name != "auto" else _checks.choice("PYSAS_BACKEND", os.environ.get("PYSAS_BACKEND", "auto"), BACKENDS)
+
+
 def engine_of(backend: str = "auto") -> AnyEngine:
-    """The engine that will run, as `backend_name` has it."""
-    engine: AnyEngine = ENGINES[backend_name(backend)]().ENGINE
+    """The engine that will run, as `backend_name` has it.
+
+    Warns
+    -----
+    SlowEngineWarning
+        Numba runs though nobody asked for it; once a process.
+    """
+    name = backend_name(backend)
+    if name == "numba" and _asked_for(backend) == "auto":
+        native.warn_of_numba()
+    engine: AnyEngine = ENGINES[name]().ENGINE
     return engine
 
 
@@ -97,12 +111,13 @@ def show_config(mode: str = "print") -> dict[str, Any] | None:
 
     _checks.choice("mode", mode, ("print", "dict"))
     extension = native.extension()
+    name = backend_name()
     config = {
         "pysas": pysas.__version__,
-        "backend": backend_name(),
-        "isa": engine_of().isa(),
+        "backend": name,
+        "isa": engine_of(name).isa(),
         "processor": llvmlite.binding.get_host_cpu_name(),
-        "extension": "not built" if extension is None else f"{extension.compiler()}, {', '.join(extension.levels())}",
+        "extension": native.absence() if extension is None else f"{extension.compiler()}, {', '.join(extension.levels())}",
         "threads": _checks.threads(None),
         "python": platform.python_version(),
         "numpy": numpy.__version__,

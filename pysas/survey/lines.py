@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pysas import _checks
+from pysas.engine import engine_of
 from pysas.formats import depth_maps, files
 from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.imaging.planner import METHODS, plan_ahead
@@ -421,6 +422,7 @@ def _cost(plan: StripPlan, navigation: Echoes, threads: int) -> tuple[float, flo
     strip: Strip = plan.strip(threads)
     grid = strip.grid(dear.low, dear.high - dear.low)
     s = plan.settings
+    engine_of(s.backend)  # says that Numba runs, where it does, before warnings are silent
     with files.naming(plan.line), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what is silent is an error here
         made = plan_ahead(plan.laid(some), grid, s.tol, s.method, threads, s.backend, s.nan)

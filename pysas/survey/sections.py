@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pysas import __version__, _checks
+from pysas.engine import engine_of
 from pysas.formats.echo_store import EchoStore, open_echoes
 from pysas.model.echoes import Echoes
 from pysas.model.image import Report
@@ -76,6 +77,7 @@ class Section:
         echoes = None
         try:
             echoes, samples = read()
+            engine_of(self.plan.settings.backend)  # says that Numba runs, where it does, before warnings are silent
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # an image's notes have them
                 image = self.blocks.image(self._ready(echoes), low, high)
