@@ -7,7 +7,7 @@ FUZZ_SECONDS ?= 60
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 comma = ,
 
-.PHONY: build test lint types sanitize tsan qemu fuzz bench bench-quick bench-report bench-check docs docs-links
+.PHONY: build test lint types sanitize tsan qemu fuzz bench bench-quick bench-report bench-check docs docs-links wheel stranger
 
 build:
 	$(PYTHON) -m pip install '.[dev]'
@@ -101,3 +101,15 @@ docs:
 # links out of the site, which need the internet
 docs-links:
 	PYSAS_GALLERY=False sphinx-build -q -n -d build/doctrees-links -b linkcheck docs build/docs-links
+# for Linux, by way of a source distribution, which holds all that a build needs then;
+# `make wheel BUILD="--wheel -C--build-option=--skip-build"` packs what pip has just built in this folder
+BUILD ?=
+wheel:
+	rm -rf build/wheel
+	$(PYTHON) -m build $(BUILD) -o build/wheel .
+	$(PYTHON) -m auditwheel repair --strip -w build/wheel/repaired build/wheel/*.whl
+	$(PYTHON) .ci/check_wheel.py build/wheel/repaired/*.whl
+
+# seconds from nothing to an image of an own file, with the wheel that is there; PIP_NO_CACHE_DIR=1 downloads all of it
+stranger:
+	$(PYTHON) .ci/stranger.py build/wheel/repaired/*.whl

@@ -372,7 +372,7 @@ std::vector<TreeBatch> batches_of(const GroupTree& tree, std::int64_t most) {
     }
     const Numbers& span = tree.levels[0].span;
     // the last number at which `ends` are at most `limit`
-    const auto fitting = [](const Numbers& ends, std::int64_t limit) {
+    const auto fitting = [](const Numbers& ends, std::int64_t limit) -> std::int64_t {
         return std::upper_bound(ends.begin(), ends.end(), limit) - ends.begin() - 1;
     };
     for (std::int64_t leaf = 0; leaf < tree.levels[0].count();) {

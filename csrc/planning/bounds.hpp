@@ -1,6 +1,7 @@
 // Bounds of the errors that arithmetic makes, by what makes them.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #include "planning/taps.hpp"
