@@ -84,6 +84,8 @@ class Format:
         `read(path, channel)`: what the file holds; errors name the file. `channel`: one that the file names, or None.
     write : callable
         `write(path, item, overwrite)`: a new file, which takes its name when complete.
+    draw : callable, optional
+        `draw(path, image, span, overwrite)`: the same of an image as bytes over so many dB.
     writes : of type
         What `write` takes.
     extra : str, optional
@@ -99,5 +101,6 @@ class Format:
     sniff: Callable[[Look], bool] = _none
     read: Callable[[str, str | None], Item] = _unread
     write: Callable[[str, Any, bool], None] = _unwritten
+    draw: Callable[[str, Any, float, bool], None] | None = None
     writes: tuple[type, ...] = ()
     extra: str | None = None

@@ -1,13 +1,15 @@
-"""Rasters as cloud-optimised GeoTIFF, by rasterio: tiles of 512, deflated, with overviews."""
+"""Rasters, and arrays that are in memory, as cloud-optimised GeoTIFF, by rasterio: tiles of 512, deflated, with overviews."""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pysas import _checks
 from pysas.formats import rasters
@@ -28,24 +30,96 @@ def write(
 
     Beside the target there is room needed for twice the file and, for bytes, the magnitudes in float32, deflated.
     """
+    with _replacing(path, overwrite) as folder:
+        made = _draft(folder / "magnitude.tif", raster)
+        if coding is not None:
+            made = _coded(folder / "bytes.tif", made, coding())
+        resampling = "average" if coding else "rms"
+        _optimise(made, folder, predictor="yes", overview_resampling=resampling, overview_compress="deflate")
+
+
+def write_whole(
+    path: str | os.PathLike[str],
+    data: npt.NDArray[Any],
+    affine: tuple[float, float, float, float, float, float],
+    tags: Mapping[str, str],
+    band: Mapping[str, Any],
+    *,
+    mask: npt.NDArray[np.bool_] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write an array (row, column), without a CRS.
+
+    Parameters
+    ----------
+    data : complex or uint8
+        Bytes: 0 where there are none.
+    affine : (a, b, c, d, e, f)
+        The centre of pixel (row, column) is (a column + b row + c, d column + e row + f).
+    tags : of str
+    band : dict
+        "description", and what `described` says of bytes.
+    mask : bool (row, column), optional
+        False: no data there.
+    """
+    bytes_ = data.dtype == np.uint8
+    with _replacing(path, overwrite) as folder:
+        import rasterio
+
+        a, b, c, d, e, f = affine
+        transform = rasterio.Affine(a, b, c - (a + b) / 2, d, e, f - (d + e) / 2)  # of the first pixel's corner
+        rows, columns = data.shape
+        form = _DRAFT | {"width": columns, "height": rows, "dtype": data.dtype.name, "transform": transform}
+        form |= {"nodata": 0, "predictor": 2} if bytes_ else {}
+        with rasterio.open(folder / "draft.tif", "w", **form) as draft:
+            draft.write(data, 1)
+            if mask is not None:
+                draft.write_mask(mask)
+            draft.update_tags(**tags, AREA_OR_POINT="Area")
+            draft.set_band_description(1, band["description"])
+            if bytes_:
+                draft.units, draft.scales, draft.offsets = band["units"], band["scales"], band["offsets"]
+        how = {"predictor": "yes", "overview_resampling": "average", "overview_compress": "deflate"}
+        # means of phases that turn within a pixel are nothing, and neither is a predictor of such numbers
+        _optimise(folder / "draft.tif", folder, **(how if bytes_ else {"overviews": "none"}))
+
+
+def described(coding: Decibels) -> dict[str, Any]:
+    """What a band of bytes is."""
+    return {
+        "description": "dB relative to the reference",
+        "units": ("dB",),
+        "scales": (coding.scale,),
+        "offsets": (coding.offset,),
+    }
+
+
+@contextlib.contextmanager
+def _replacing(path: str | os.PathLike[str], overwrite: bool) -> Iterator[Path]:
+    """A folder in which "made" is made, with GDAL's errors as those of a file."""
     try:
         import rasterio
         import rasterio.errors
         import rasterio.shutil
     except ImportError:
         raise _checks.optional("rasterio", "survey") from None
-    with rasters.replacing(path, overwrite=overwrite) as folder, rasterio.Env(GDAL_CACHEMAX=_CACHE):
+    with (
+        rasters.replacing(path, overwrite=overwrite) as folder,
+        rasterio.Env(GDAL_CACHEMAX=_CACHE, GDAL_TIFF_INTERNAL_MASK=True),
+    ):
         try:
-            made = _draft(folder / "magnitude.tif", raster)
-            if coding is not None:
-                made = _coded(folder / "bytes.tif", made, coding())
-            rasterio.shutil.copy(
-                str(made), str(folder / "made"), driver="COG", blocksize=_TILE, compress="deflate", bigtiff="if_safer",
-                predictor="yes", overview_resampling="average" if coding else "rms", overview_compress="deflate",
-                num_threads="1",
-            )  # fmt: skip
+            yield folder
         except rasterio.errors.RasterioError as error:
             raise OSError(f"{os.fspath(path)}: could not be written: {error}") from error
+
+
+def _optimise(source: Path, folder: Path, **options: str) -> None:
+    import rasterio.shutil
+
+    rasterio.shutil.copy(
+        str(source), str(folder / "made"), driver="COG", blocksize=_TILE, compress="deflate", bigtiff="if_safer",
+        num_threads="1", **options,
+    )  # fmt: skip
 
 
 def _draft(path: Path, raster: Raster) -> Path:
@@ -91,8 +165,9 @@ def _coded(path: Path, draft: Path, coding: Decibels) -> Path:
                     if values.any():
                         target.write(values, 1, window=window)
             target.update_tags(**source.tags(), reference=repr(coding.reference), db=repr(coding.span))
-            target.set_band_description(1, "dB relative to the reference")
-            target.units, target.scales, target.offsets = ("dB",), (coding.scale,), (coding.offset,)
+            band = described(coding)
+            target.set_band_description(1, band["description"])
+            target.units, target.scales, target.offsets = band["units"], band["scales"], band["offsets"]
     return path
 
 

@@ -18,11 +18,26 @@ import numpy as np
 import numpy.typing as npt
 
 from pysas import _checks
+from pysas._checks import FloatArray
 from pysas.formats import files
 
 WINDOW = 1024  # pixels along a side of a window that writers ask for, where the raster does not end before
 GEOTIFF, NETCDF, ZARR = "geotiff", "netcdf", "zarr"
 _FORMATS = {".tif": GEOTIFF, ".tiff": GEOTIFF, ".nc": NETCDF, ".zarr": ZARR}
+
+
+def even(name: str, values: FloatArray) -> tuple[float, float]:
+    """The first of two or more places along an axis and their step, which is not 0.
+
+    Raises ValueError where steps differ, by more than a thousandth.
+    """
+    if values.size < 2 or not np.isfinite(values).all():
+        raise ValueError(f"{name}: found {values.size} entries, expected two or more, all finite")
+    step = float(values[-1] - values[0]) / (values.size - 1)
+    off = np.abs(values[0] + step * np.arange(values.size) - values)
+    if step == 0 or off.max() > 1e-3 * abs(step):
+        raise ValueError(f"{name}: unequal steps at entry {int(off.argmax())}: expected equal ones, not 0")
+    return float(values[0]), step
 
 
 @dataclass(frozen=True)

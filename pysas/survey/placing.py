@@ -15,6 +15,7 @@ import numpy as np
 
 from pysas import _checks
 from pysas._checks import FloatArray
+from pysas.formats import rasters
 from pysas.navigation import Frame, ellipsoid
 from pysas.survey.image_store import StripStore
 
@@ -40,13 +41,7 @@ class Axis:
     @classmethod
     def of(cls, name: str, values: FloatArray) -> Axis:
         """Raises ValueError where steps differ, by more than a thousandth."""
-        if values.size < 2 or not np.isfinite(values).all():
-            raise ValueError(f"{name}: found {values.size} entries, expected two or more, all finite")
-        step = float(values[-1] - values[0]) / (values.size - 1)
-        off = np.abs(values[0] + step * np.arange(values.size) - values)
-        if step == 0 or off.max() > 1e-3 * abs(step):
-            raise ValueError(f"{name}: unequal steps at entry {int(off.argmax())}: expected equal ones, not 0")
-        return cls(float(values[0]), step, values.size)
+        return cls(*rasters.even(name, values), values.size)
 
     def edges(self) -> FloatArray:
         """Places along the whole of it, from edge to edge."""
