@@ -70,7 +70,7 @@ def save(path: str | os.PathLike[str], what: Echoes | Image, *, overwrite: bool 
         raise TypeError(f"what={type(what).__name__}: expected pysas.Echoes or pysas.Image")
     text = files.name(path)
     if isinstance(what, Image) or not is_store(text):
-        write_file(text, echo_fields(what) if isinstance(what, Echoes) else _image_fields(what), overwrite)
+        write_file(text, fields_of(what), overwrite)
         return
     header, fixed, rows = by_ping(echo_fields(what))
     with stores.replacing(text, overwrite=overwrite) as folder:
@@ -114,18 +114,29 @@ def load(path: str | os.PathLike[str]) -> Echoes | Image:
     """
     text = files.name(path)
     with opened(text) as file:
-        schema = file.text("schema")
-        if schema not in (ECHOES, IMAGE):
-            raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
-        if schema == ECHOES:
-            echoes, known = read_navigation(file)
-            result: Echoes | Image = echoes.replace(data=file.read("data"))
-        else:
-            result, known = _read_image(file)
-        unknown = sorted(file.fields.keys() - known)
+        return read(text, file)
+
+
+def read(path: str, file: File) -> Echoes | Image:
+    """What an open file holds, whose fields have the schemas' names; errors do not name it."""
+    schema = file.text("schema")
+    if schema not in (ECHOES, IMAGE):
+        raise ValueError(f"schema: found {schema!r:.60}, expected {ECHOES!r} or {IMAGE!r}")
+    if schema == ECHOES:
+        echoes, known = read_navigation(file)
+        result: Echoes | Image = echoes.replace(data=file.read("data"))
+    else:
+        result, known = _read_image(file)
+    unknown = sorted(file.fields.keys() - known)
     if unknown:
-        warnings.warn(f"{text}: ignored, not in {schema}: {', '.join(unknown)}", stacklevel=4)
+        message = f"{path}: ignored, not in {schema}: {', '.join(unknown)}"
+        warnings.warn(message, stacklevel=5)
     return result
+
+
+def fields_of(what: Echoes | Image) -> dict[str, Array]:
+    """The schema's fields."""
+    return echo_fields(what) if isinstance(what, Echoes) else _image_fields(what)
 
 
 @contextlib.contextmanager
@@ -227,11 +238,15 @@ def _truth(position: Any, amplitude: Any) -> tuple[Array, Array]:
     return position, amplitude.astype(np.complex128 if amplitude.dtype.kind == "c" else np.float64)
 
 
+def echo_table(one_receiver: bool) -> dict[str, tuple[str, ...]]:
+    """Kind and shapes of the fields of echoes, whose data are (ping, sample) or (ping, channel, sample)."""
+    trace = "ping" if one_receiver else "ping channel"
+    return {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
+
+
 def read_navigation(file: File) -> tuple[Echoes, set[str]]:
     """All of echoes but their samples, for which zeros stand that take no memory, and the names of the schema's fields."""
-    two = "data" in file.fields and len(file.fields["data"][0]) == 2
-    trace = "ping" if two else "ping channel"
-    table = {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
+    table = echo_table("data" in file.fields and len(file.fields["data"][0]) == 2)
     file.check(table, _ECHO_NEEDS)
     got = file.together(_PULSE), file.together(_BEAM), file.together(_TRUTH)
     for name in _MORE_BEAM:
@@ -278,7 +293,8 @@ def _read_beam(file: File, values: dict[str, Any]) -> Beam:
         raise ValueError(f"beam: {error}") from None
 
 
-def _image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]]:
+def image_table(kind: str, shape: tuple[int, ...]) -> dict[str, tuple[str, ...]]:
+    """Kind and shapes of the fields of an image on a grid of this kind; `shape` of its data counts for points."""
     pixels = " ".join(reversed(_AXES[kind])) or " ".join(map(str, shape))
     table: dict[str, tuple[str, ...]] = dict.fromkeys(("schema", "report", "grid_kind"), ("text", ""))
     table |= {"data": ("samples", pixels), "fc": ("real", ""), "c": ("real", ""), "grid_mask": ("bool", pixels)}
@@ -311,7 +327,7 @@ def _read_image(file: File) -> tuple[Image, set[str]]:
     kind = file.text("grid_kind")
     if kind not in KINDS:
         raise ValueError(f"grid_kind: found {kind!r:.60}, expected one of {', '.join(KINDS)}")
-    table = _image_table(kind, file.fields["data"][0] if "data" in file.fields else ())
+    table = image_table(kind, file.fields["data"][0] if "data" in file.fields else ())
     file.check(table, [name for name in table if name not in ("grid_mask", "grid_origin", "grid_rotation")])
     file.together(("grid_origin", "grid_rotation"))
     names = [name for name in table if name.startswith("grid_") and name in file.fields and name != "grid_kind"]

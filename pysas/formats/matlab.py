@@ -1,4 +1,4 @@
-"""Numbers from MATLAB's files of versions 5 to 7 (MathWorks, "MAT-File Format", level 5).
+"""Variables of MATLAB's files of versions 5 to 7 (MathWorks, "MAT-File Format", level 5).
 
 `scipy.io.loadmat` reads them too, but ends the process by a segmentation fault where a damaged file names a type of data that
 does not exist (SciPy 1.17). Here nothing is expanded beyond what a variable may hold, and every error names the file.
@@ -6,22 +6,30 @@ does not exist (SciPy 1.17). Here nothing is expanded beyond what a variable may
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, Any
 
 import numpy as np
 
 from pysas._checks import FloatArray
 from pysas.formats import files
+from pysas.formats.fields import Array, blamed
 
 _HEADER, _VERSION = 128, 0x0100
 _MATRIX, _COMPRESSED = 14, 15
 _ENTRIES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _CLASSES = range(6, 16)  # double, single, integers of 8 to 64 bits
-_COMPLEX = 0x0800
+_COMPLEX, _LOGICAL = 0x0800, 0x0200
+_TEXT = 4
+_NUMBERS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+_LETTERS = {1: "ascii", 2: "ascii", 4: "utf-16", 16: "utf-8", 17: "utf-16"}  # types of text
+_MOST_EXPANSION = 1032  # deflate cannot expand by more ("Maximum Compression Factor", zlib technical details)
 _MOST = 2**24  # numbers of a variable: a pulse of half a minute
 _HEAD = 2**12  # bytes of a variable that tell its name
 
@@ -42,9 +50,8 @@ def read_mat(path: str, name: str) -> FloatArray:
     """
     with files.opened(path) as file:
         content = file.read()
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER])
-    if order is None or struct.unpack(f"{order}H", content[124:126])[0] != _VERSION:
-        raise ValueError(f"{path}: expected a .mat file of MATLAB's versions 5 to 7 (save -v7)")
+    with files.naming(path):
+        order = _order(content[:_HEADER])
     found: list[str] = []
     try:
         for kind, element in _elements(memoryview(content)[_HEADER:], order):
@@ -57,6 +64,152 @@ def read_mat(path: str, name: str) -> FloatArray:
     except (ValueError, struct.error, zlib.error) as error:
         raise ValueError(f"{path}{f', {found[-1]:.60}' if found else ''}: {error}") from None
     raise ValueError(f"{path}: no variable {name!r:.60}: expected one of {', '.join(found)}")
+
+
+def is_mat(head: bytes) -> bool:
+    """Whether a file that begins so is one of versions 5 to 7."""
+    try:
+        _order(head[:_HEADER])
+    except ValueError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of an open file: what it declares, found to be possible for its bytes.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        As MATLAB shows it: of two axes or more.
+    dtype : numpy.dtype
+        Complex where it is, bool of logical ones, "U" of text, object of what holds no numbers.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    _file: IO[bytes]
+    _order: str
+    _place: tuple[int, int, int]  # type, offset and size of its element
+
+    def read(self) -> Array:
+        """Its entries, the first index fastest; text as one string.
+
+        Raises ValueError for what holds no numbers, or where bytes are damaged: a compressed one carries Adler-32.
+        """
+        if self.dtype.hasobject:
+            raise ValueError("found a cell, a struct or the like, expected numbers or text")
+        count, two = math.prod(self.shape), self.dtype.kind == "c"
+        kind, offset, size = self._place
+        self._file.seek(offset)
+        element = memoryview(self._file.read(size))
+        if kind == _COMPRESSED:
+            element = _expanded(element, self._order, 2 * _HEAD + 8 * count * (1 + two))
+        parts = list(_elements(element, self._order))
+        if len(parts) != 4 + two:
+            raise ValueError(f"found {len(parts)} parts of a variable: expected {4 + two}")
+        if self.dtype.kind == "U":
+            return np.asarray(_letters(self.shape, self._order, *parts[3]))
+        real = np.dtype(f"f{self.dtype.itemsize // 2}") if two else self.dtype
+        array = np.empty(count, self.dtype)
+        for part, target in zip(parts[3:], (array.real, array.imag) if two else (array,), strict=True):
+            target[...] = _entries(part, self._order, count).astype(real, copy=False)
+        return array.reshape(self.shape, order="F")
+
+
+def variables(file: IO[bytes]) -> dict[str, Variable]:
+    """What a file holds, by names; read while it is open. ValueError, without the file's name, where it is damaged."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    order = _order(file.read(_HEADER))
+    found: dict[str, Variable] = {}
+    at = _HEADER
+    while at < size:
+        file.seek(at)
+        kind, length = struct.unpack(f"{order}II", _all(file.read(8), 8))
+        if kind not in (_MATRIX, _COMPRESSED) or at + 8 + length > size:
+            raise ValueError(f"found an element of type {kind} and {length} bytes at {at} of {size}: expected a variable")
+        head = memoryview(file.read(min(length, _HEAD)))
+        try:
+            (_, flags), (_, shape), (_, title) = _parts(kind, head, order, 3, _HEAD)
+            name = bytes(title).decode("ascii")
+            if name in found:
+                raise ValueError(f"{name}: found twice, expected one variable of that name")
+            with blamed(name):
+                found[name] = Variable(*_declared(flags, shape, order, kind, length), file, order, (kind, at + 8, length))
+        except (struct.error, zlib.error) as error:
+            raise ValueError(f"found no variable at {at}: {error}") from None
+        at += 8 + length
+    return found
+
+
+def _declared(
+    flags: memoryview, shape: memoryview, order: str, kind: int, length: int
+) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    word = struct.unpack(f"{order}I", flags[:4])[0]
+    code, two = word & 0xFF, bool(word & _COMPLEX)
+    if code == _TEXT:
+        dtype: np.dtype[Any] = np.dtype("U")
+    elif code not in _NUMBERS:
+        return (0,), np.dtype(object)
+    else:
+        dtype = np.dtype("?") if word & _LOGICAL else np.dtype(_NUMBERS[code])
+        if two and dtype.kind != "f":
+            raise ValueError(f"found complex numbers of class {code}: expected double or single ones")
+        dtype = np.dtype(f"c{2 * dtype.itemsize}") if two else dtype
+    lengths: tuple[int, ...] = tuple(np.frombuffer(shape, f"{order}i4").tolist())
+    most = length * (_MOST_EXPANSION if kind == _COMPRESSED else 1)
+    if len(lengths) < 2 or min(lengths) < 0 or math.prod(lengths) * (1 + two) > most:
+        raise ValueError(f"found shape {lengths} in {length} bytes: expected a whole .mat file")
+    return lengths, dtype
+
+
+def _order(head: bytes) -> str:
+    order = {b"IM": "<", b"MI": ">"}.get(head[126:_HEADER])
+    if order is None or struct.unpack(f"{order}H", head[124:126])[0] != _VERSION:
+        raise ValueError("expected a .mat file of MATLAB's versions 5 to 7 (save -v7)")
+    return order
+
+
+def _all(data: bytes, size: int) -> bytes:
+    if len(data) < size:
+        raise ValueError(f"found {len(data)} of {size} bytes: expected a whole .mat file")
+    return data
+
+
+def _expanded(element: memoryview, order: str, most: int) -> memoryview:
+    """What a compressed variable holds, all of it, with its checksum compared."""
+    stream = zlib.decompressobj()
+    try:
+        data = memoryview(stream.decompress(element, most))
+    except zlib.error as error:
+        raise ValueError(f"damaged ({error})") from None
+    if not stream.eof or stream.unused_data:
+        raise ValueError("found another number of bytes than its shape says: expected a whole .mat file")
+    if len(data) < 8 or struct.unpack(f"{order}II", data[:8]) != (_MATRIX, len(data) - 8):
+        raise ValueError("found no variable in a compressed element: expected a whole .mat file")
+    return data[8:]
+
+
+def _entries(part: tuple[int, memoryview], order: str, count: int) -> Array:
+    kind, data = part
+    entry = np.dtype(f"{order}{_ENTRIES.get(kind, 'V1')}")
+    if entry.kind == "V" or len(data) != count * entry.itemsize:
+        raise ValueError(f"found {len(data)} bytes of type {kind} for {count} numbers: expected a whole .mat file")
+    return np.frombuffer(data, entry)
+
+
+def _letters(shape: tuple[int, ...], order: str, kind: int, data: memoryview) -> str:
+    coding, count = _LETTERS.get(kind), math.prod(shape)
+    if coding is None or shape[1:] != (count,):
+        raise ValueError(f"found text of type {kind} and shape {shape}: expected one line of it")
+    if coding == "utf-16":
+        coding += "-le" if order == "<" else "-be"
+    text = bytes(data).decode(coding)
+    if len(text) != count:
+        raise ValueError(f"found {len(text)} letters for {count}: expected a whole .mat file")
+    return text
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
@@ -83,14 +236,11 @@ def _parts(kind: int, element: memoryview, order: str, count: int, most: int) ->
 
 
 def _numbers(parts: list[tuple[int, memoryview]], order: str) -> FloatArray:
-    (_, flags), (_, shape), _, (kind, data) = parts
+    (_, flags), (_, shape), _, data = parts
     word = struct.unpack(f"{order}I", flags[:4])[0]
     lengths = np.frombuffer(shape, f"{order}i4").tolist()
     count = math.prod(lengths)
     if word & 0xFF not in _CLASSES or word & _COMPLEX or not 0 < count == max(lengths, default=0) <= _MOST:
         text = f"found class {word & 0xFF}{', complex' if word & _COMPLEX else ''} of shape {tuple(lengths)}"
         raise ValueError(f"{text}: expected real numbers (6 to 15) in one row or column")
-    entry = np.dtype(f"{order}{_ENTRIES.get(kind, 'V1')}")
-    if entry.kind == "V" or len(data) != count * entry.itemsize:
-        raise ValueError(f"found {len(data)} bytes of type {kind} for {count} numbers: expected a whole .mat file")
-    return np.frombuffer(data, entry).astype(np.float64)
+    return _entries(data, order, count).astype(np.float64)
