@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
+from typing import Any
 
 from pysas import loading
 from pysas.cli.common import Command, Progress, add_overwrite
 from pysas.formats import catalogue, files, io, own, stores
 from pysas.formats.containers import container
 from pysas.formats.echo_store import open_echoes
-from pysas.formats.format import Look
+from pysas.formats.format import COLUMNS, Look
 from pysas.model.echoes import Echoes
+from pysas.model.image import Image
 
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -20,7 +23,21 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--channel", metavar="NAME", help="of a file whose channels have pings of their own")
     sub.add_argument("--int16", action="store_true", help="samples in int16 with a scale a ping, in a .zarr")
     sub.add_argument("--pings", type=_span, default=slice(None), metavar="A:B", help="pings A to B - 1, counted from 0")
+    sub.add_argument("--db", type=float, metavar="DB", help="an image in a .tif or .png: bytes over DB dB (.png: 40)")
+    sub.add_argument("--formats", action=_Formats, nargs=0, help="print the formats that are known, and end")
     add_overwrite(sub)
+
+
+class _Formats(argparse.Action):
+    """Prints the formats, as --version does its number: A and B are not asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        for known in catalogue.FORMATS:
+            said = dict(zip(COLUMNS, known.row, strict=True))
+            print(f"{said.pop('name'):8} {said.pop('format')}")
+            for column, text in said.items():
+                print(f"{'':8}   {column:8} {text}")
+        parser.exit()
 
 
 def _span(text: str) -> slice:
@@ -34,7 +51,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     source, output = arguments.file, arguments.output
     look = Look(source)
     if catalogue.recognised(look) in (None, own.FORMAT) and look.suffix in own.FORMAT.suffixes and _holds_echoes(source):
-        if Look(output).suffix in own.FORMAT.suffixes:
+        if Look(output).suffix in own.FORMAT.suffixes and arguments.db is None:
             return _streamed(arguments, progress)
     if arguments.int16:
         raise ValueError("--int16: expected echoes of .npz, .h5 or .zarr, and a .zarr to write")
@@ -45,10 +62,15 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
             raise ValueError(f"--pings: {source} holds an image: expected echoes")
         item = item[arguments.pings]
     target = catalogue.by_name(output, type(item))
-    target.write(output, item, arguments.overwrite)
+    if arguments.db is None:
+        target.write(output, item, arguments.overwrite)
+    elif target.draw is None or not isinstance(item, Image):
+        raise ValueError(f"--db {arguments.db:g}: expected an image, and a .tif or .png to write")
+    else:
+        target.draw(output, item, arguments.db, arguments.overwrite)
     shape = list(item.data.shape)
-    text = f"{output}: {target.title}, {item.data.dtype} of shape {' x '.join(map(str, shape))}"
-    values = {"output": output, "format": target.name, "shape": shape, "stored": str(item.data.dtype)}
+    text = f"{output}: {target.title}, {' x '.join(map(str, shape))}"
+    values = {"output": output, "format": target.name, "shape": shape}
     print(json.dumps(values) if arguments.json else text)
     return 0
 
@@ -65,7 +87,9 @@ def _holds_echoes(path: str) -> bool:
 def _require_place(source: str, output: str, overwrite: bool) -> None:
     """Raise now what writing would."""
     if io.is_store(output):
-        target = stores.check_output(output, overwrite)
+        # either is replaced by its like alone: which this is to be, writing knows
+        single = stores.schema_of(Path(output)) == stores.HOLDS["single images"]
+        target = stores.check_output(output, overwrite, "single images" if single else "echoes")
         if target.exists() and target.samefile(source):
             raise ValueError(f"B {output}: is read by this command: expected another name")
     else:

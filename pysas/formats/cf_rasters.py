@@ -30,13 +30,17 @@ class _Windows:
 def write_netcdf(path: str | os.PathLike[str], raster: Raster, *, overwrite: bool = False) -> None:
     """Write variable `magnitude` (y, x) in float32, NaN where there is none, deflated."""
     rasters.require_libraries(path)
-    with rasters.replacing(path, overwrite=overwrite) as folder, _one_thread():
-        chunks = tuple(min(WINDOW, size) for size in raster.shape)
-        encoding = {"_FillValue": _FILL, "chunksizes": chunks, "zlib": True, "complevel": 1}
+    chunks = tuple(min(WINDOW, size) for size in raster.shape)
+    encoding = {"_FillValue": _FILL, "chunksizes": chunks, "zlib": True, "complevel": 1}
+    with _one_thread():
+        write_dataset(path, _dataset(raster), {"magnitude": encoding, **_plain()}, overwrite=overwrite)
+
+
+def write_dataset(path: str | os.PathLike[str], dataset: Any, encoding: dict[str, Any], *, overwrite: bool = False) -> None:
+    """An xarray.Dataset as NetCDF-4."""
+    with rasters.replacing(path, overwrite=overwrite) as folder:
         try:
-            _dataset(raster).to_netcdf(
-                folder / "made", engine="netcdf4", format="NETCDF4", encoding={"magnitude": encoding, **_plain()}
-            )
+            dataset.to_netcdf(folder / "made", engine="netcdf4", format="NETCDF4", encoding=encoding)
         except _checks.InternalError:
             raise
         except RuntimeError as error:  # netCDF4's, of a full disk for one

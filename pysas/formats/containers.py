@@ -220,15 +220,44 @@ class _H5(File):
         if _CHECKSUM not in attributes:
             return None
         kept = attributes.get_id(_CHECKSUM)
-        if kept.shape != () or kept.dtype.kind != "u":
+        if kept.shape not in ((), (1,)) or kept.dtype.kind != "u":
             raise ValueError(f"found {kept.dtype} of shape {kept.shape} for {_CHECKSUM}, expected a whole number")
-        return 0, int(attributes[_CHECKSUM])
+        return 0, int(np.asarray(attributes[_CHECKSUM]).item())
 
 
 @contextlib.contextmanager
 def _open_h5(file: IO[bytes]) -> Iterator[File]:
     with _h5py().File(file.name, "r") as opened:
         yield _H5(opened, file.seek(0, io.SEEK_END))
+
+
+class _Netcdf(_H5):
+    """NetCDF-4, which is HDF5: attributes that are one number or text are fields beside the variables, as in a Zarr store."""
+
+    def __init__(self, file: Any, size: int) -> None:
+        super().__init__(file, size)
+        self._values: dict[str, Array] = {}
+        for name in file.attrs:
+            with blamed(name):
+                kept = file.attrs.get_id(name)
+                if name.startswith("_") or kept.dtype.kind not in "Sfiu" or math.prod(kept.shape or ()) != 1:
+                    continue  # the library's own, and what no field of ours looks like
+                if kept.dtype.itemsize > size or name in self.fields:
+                    raise ValueError(f"found an attribute of {kept.dtype.itemsize} bytes, expected a short one of its own name")
+                value = np.asarray(file.attrs[name]).reshape(())
+                self._values[name] = np.asarray(value.item().decode()) if value.dtype.kind == "S" else value
+        self.header = {name: value.item() for name, value in self._values.items()}
+        self.fields |= {name: (value.shape, value.dtype) for name, value in self._values.items()}
+
+    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        return self._values[name] if name in self._values else super()._read(name, shape, dtype)
+
+
+@contextlib.contextmanager
+def opened_netcdf(file: IO[bytes]) -> Iterator[_Netcdf]:
+    """The variables of a NetCDF-4 file, by h5py."""
+    with _h5py().File(file.name, "r") as opened:
+        yield _Netcdf(opened, file.seek(0, io.SEEK_END))
 
 
 class _Pages(io.RawIOBase):

@@ -108,3 +108,23 @@ class Format:
     draw: Callable[[str, Any, float, bool], None] | None = None
     writes: tuple[type, ...] = ()
     extra: str | None = None
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What `COLUMNS` say of it."""
+        taken = ", ".join({"Echoes": "echoes", "Image": "images"}.get(kind.__name__, kind.__name__) for kind in self.writes)
+        read = "no" if self.read is _unread else "yes"
+        return (
+            self.name,
+            self.title,
+            " ".join(self.suffixes),
+            self.holds,
+            read,
+            taken or "no",
+            self.kept,
+            self.lost,
+            self.extra or "-",
+        )
+
+
+COLUMNS = ("name", "format", "files", "holds", "read", "written", "kept", "lost", "extra")

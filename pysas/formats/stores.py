@@ -30,7 +30,9 @@ from pysas.formats import files
 from pysas.formats.fields import Array, File, allocated, blamed
 
 SUFFIX = ".zarr"
-HOLDS = {"echoes": "pysas-echoes-1", "images": "pysas-survey-1", "mosaics": "pysas-mosaic-1"}  # schemas of stores
+HOLDS = {  # schemas of stores
+    "echoes": "pysas-echoes-1", "images": "pysas-survey-1", "mosaics": "pysas-mosaic-1", "single images": "pysas-cf-image-1",
+}  # fmt: skip
 PING = "ping"
 Named = Mapping[str, tuple[tuple[str, ...], Array]]  # arrays with the names of their axes
 
@@ -201,9 +203,9 @@ def sum_of(header: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode())
 
 
-def require_sum(header: Mapping[str, Any]) -> None:
+def require_sum(header: Mapping[str, Any], where: str = "zarr.json") -> None:
     if "crc32" in header and header["crc32"] != sum_of(header):
-        raise ValueError("zarr.json: damaged: found other attributes than were written, by their CRC-32")
+        raise ValueError(f"{where}: damaged: found other attributes than were written, by their CRC-32")
 
 
 def require_header(folder: Path) -> None:
