@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 
 from pysas.formats import catalogue, own
-from pysas.formats.files import name
+from pysas.formats.files import name, naming
 from pysas.formats.format import Look
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
+from pysas.model.phase_history import PhaseHistory
+from pysas.signal import phase_history
 
 
 def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes | Image:
@@ -40,7 +42,11 @@ def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes 
     """
     look = Look(name(path))
     found = catalogue.recognised(look) or own.FORMAT
-    return found.read(look.path, channel)
+    item = found.read(look.path, channel)
+    if isinstance(item, PhaseHistory):
+        with naming(look.path):
+            return phase_history.compressed(item)
+    return item
 
 
 def load_echoes(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pysas.model.grid import Grid
+from pysas.model.phase_history import PhaseHistory
 from pysas.reference.direct import exact
-from pysas.signal.phase_history import from_phase_history
+from pysas.signal.phase_history import compressed, from_phase_history
 
 pytestmark = pytest.mark.reference  # no engine takes part
 
@@ -168,3 +169,130 @@ BAD: list[tuple[str, dict[str, Any], type[Exception], str]] = [
 def test_errors(change: dict[str, Any], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         from_phase_history(**{**GOOD, **change})
+
+
+# Pings that differ, transmitters apart from receivers
+
+
+def record(first: Any, step: Any, count: int = 60, dtype: Any = np.complex128, **changes: Any) -> PhaseHistory:
+    """Random samples of pings with frequencies of their own: whatever they hold, they are summed."""
+    rng = np.random.default_rng(3)
+    pings = len(first)
+    samples = (rng.standard_normal((pings, count, 2)).view(complex)[..., 0]).astype(dtype)
+    tx = rng.standard_normal((pings, 3)) + [5000.0, 0, 0]
+    fields: dict[str, Any] = {
+        "samples": samples, "first": np.asarray(first, float), "step": np.asarray(step, float), "tx": tx, "rx": tx + 30.0,
+        "reference": 2 * np.linalg.norm(tx, axis=1) / C, "c": C,
+    }  # fmt: skip
+    return PhaseHistory(**fields | changes)
+
+
+def transformed(echoes: Any, known: PhaseHistory, ping: int) -> Any:
+    """The sum over k of samples exp(2j pi ((f - fc) (t - reference) - fc reference))/K, written out, turns in long double."""
+    f = np.longdouble(known.first[ping]) + np.arange(known.samples.shape[1]) * np.longdouble(known.step[ping])
+    u = (np.arange(echoes.n_sample) - echoes.n_sample // 2) / np.longdouble(echoes.fs)
+    fc, reference = np.longdouble(echoes.fc), np.longdouble(known.reference[ping])
+    turns = (f - fc) * u[:, None] - fc * reference
+    return (known.samples[ping] * np.exp(2j * np.pi * (turns % 1).astype(float))).mean(axis=1)
+
+
+PINGS = {
+    "alike": ([9e9] * 4, [1.5e6] * 4),
+    "first frequencies": ([9e9, 9.0123e9, 8.95e9, 9e9 + 0.125], [1.5e6] * 4),
+    "steps": ([9e9] * 4, [1.5e6, 1.4e6, 1.7e6, 1.5e6 * (1 + 1e-9)]),
+    "both": ([9e9, 9.1e9, 8.9e9, 9.03e9], [1.5e6, 1.75e6, 1.3e6, 1.3e6]),
+    "low": ([2e4, 2.2e4, 2.1e4, 2e4], [110.0, 100.0, 101.0, 100.0]),
+}
+
+
+@pytest.mark.parametrize("count", [2, 60, 61])
+@pytest.mark.parametrize("case", PINGS)
+def test_every_ping_is_the_sum_over_its_frequencies(case: str, count: int) -> None:
+    for dtype, allowed in ((np.complex128, 1e-10), (np.complex64, 1e-6)):
+        known = record(*PINGS[case], count=count, dtype=dtype)
+        echoes = compressed(known)
+        ends = np.stack([known.first, known.first + (count - 1) * known.step])
+        assert echoes.data.dtype == dtype
+        assert echoes.bandwidth == pytest.approx(2 * np.abs(ends - echoes.fc).max(), rel=1e-9)
+        assert echoes.fs >= 1.25 * echoes.occupied_bandwidth
+        middle = echoes.start_time + echoes.n_sample // 2 / echoes.fs
+        assert np.abs(middle - known.reference).max() * echoes.fs < 1e-10
+        scale = np.abs(known.samples).max()
+        for ping in range(4):
+            assert np.abs(echoes.data[ping] - transformed(echoes, known, ping)).max() < allowed * scale
+
+
+def test_each_ping_counts_over_one_unambiguous_swath() -> None:
+    """A trace repeats after 1/step: `valid` is that long to a sample, about the reference."""
+    known = record(*PINGS["steps"])
+    echoes = compressed(known)
+    assert echoes.valid is not None
+    first, last = echoes.valid.T
+    assert np.abs((last - first + 1) / echoes.fs * known.step - 1).max() < 1.01 * known.step.max() / echoes.fs
+    assert np.abs((first + last) / 2 - echoes.n_sample // 2).max() <= 0.5
+    assert compressed(record(*PINGS["first frequencies"])).valid is None
+
+
+def test_one_of_equal_pings_is_the_monostatic_case() -> None:
+    position, r0 = survey(6)
+    for dtype, allowed in ((np.complex64, 1e-7), (np.complex128, 2e-10)):
+        samples = history(frequencies(41), position, r0, [[1.0, 2.0, 0.0]], [1.0], dtype)
+        same = {"tx": position, "rx": position, "reference": 2 * r0 / C, "samples": samples}
+        found = compressed(record([9.3e9] * 6, [STEP] * 6, **same))
+        expected = from_phase_history(samples, frequencies(41), position, r0, C)
+        assert (found.fs, found.fc, found.bandwidth) == (expected.fs, expected.fc, expected.bandwidth)
+        assert np.array_equal(found.start_time, expected.start_time)
+        assert np.abs(found.data - expected.data).max() < allowed
+
+
+def test_image_of_a_bistatic_agile_survey() -> None:
+    """Transmitter and receiver on tracks of their own, pings of three bands and two steps: the points peak at their sums."""
+    position, _ = survey(24)
+    rx = position[::-1] + [300.0, -200.0, 50.0]
+    first = 9.3e9 + 40e6 * (np.arange(24) % 3)
+    step = np.where(np.arange(24) % 2, STEP, 1.2 * STEP)
+    points, amplitudes = np.array([[0.0, 0.0, 0.0], [6.0, -4.0, 1.0]]), [1.0, 0.5j]
+
+    def delay(x: Any) -> Any:
+        x = np.asarray(x, np.longdouble)
+        return (np.sqrt(((x - position) ** 2).sum(1)) + np.sqrt(((x - rx) ** 2).sum(1))) / np.longdouble(C)
+
+    reference = delay([0.0, 0.0, 0.0]).astype(float)
+    f = first[:, None].astype(np.longdouble) + step[:, None] * np.arange(200)
+
+    def model(x: Any) -> Any:
+        turns = f * (delay(x) - reference)[:, None]
+        return np.exp(-2j * np.pi * (turns % 1).astype(float))
+
+    samples = sum(a * model(x) for x, a in zip(points, amplitudes, strict=True))
+    known = record(first, step, samples=samples, tx=position, rx=rx, reference=reference, attrs={"title": "x"})
+    echoes = compressed(known)
+    where = np.concatenate([points, [[1.3, 0.2, 0.1], [10.0, 10.0, 0.0]]])
+    found, _ = exact(echoes, Grid.points(where))
+    expected = np.array([np.vdot(model(x), samples) / 200 for x in where])
+    assert np.abs(found - expected).max() < 1e-5 * 24  # ends of traces, as above
+    assert echoes.attrs == {"title": "x"} and np.array_equal(echoes.rx, rx)
+
+
+RECORD = record(*PINGS["steps"])
+BAD_RECORDS: list[tuple[str, dict[str, Any], type[Exception], str]] = [
+    ("first nan", {"first": [9e9, np.nan, 9e9, 9e9]}, ValueError, "first: nan at ping 1"),
+    ("first zero", {"first": [9e9, 9e9, 0.0, 9e9]}, ValueError, "first: 0.0 at ping 2: expected Hz > 0"),
+    ("step negative", {"step": [1e6, 1e6, 1e6, -1e6]}, ValueError, "step: -1000000.0 at ping 3"),
+    ("step shape", {"step": 1e6}, ValueError, r"step: expected shape \(4,\)"),
+    ("far apart", {"first": [9e9, 9e9, 9e10, 9e9]}, ValueError, "first, step: pings of 8.* expected traces of at most 3840"),
+    ("fine step", {"step": [1e6, 1e-3, 1e6, 1e6]}, ValueError, "first, step: pings of .* steps from 0.001 Hz"),
+    ("reference", {"reference": [1e-5, 1e-5, -1e-5, 1e-5]}, ValueError, "reference: -1e-05 at ping 2: expected times >= 0"),
+    ("tx", {"tx": np.zeros((3, 3))}, ValueError, r"tx: expected shape \(4, 3\)"),
+    ("rx nan", {"rx": _changed(RECORD.rx, (2, 1), np.nan)}, ValueError, "rx: nan at ping 2"),
+    ("samples inf", {"samples": _changed(RECORD.samples, (3, 9), np.inf)}, ValueError, r"inf.* at ping 3, frequency 9"),
+    ("samples real", {"samples": RECORD.samples.real}, TypeError, "samples: expected complex64"),
+    ("c", {"c": -1.0}, ValueError, "c=-1.0"),
+    ("velocity", {"velocity": np.full((4, 3), np.nan)}, ValueError, "velocity: nan at ping 0"),
+]
+
+
+@pytest.mark.parametrize(("change", "error", "text"), [b[1:] for b in BAD_RECORDS], ids=[b[0] for b in BAD_RECORDS])
+def test_errors_of_records(change: dict[str, Any], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        compressed(PhaseHistory(**{**vars(RECORD), **change}))

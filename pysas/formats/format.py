@@ -15,8 +15,9 @@ import numpy as np
 from pysas.formats import files, io, matlab
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
+from pysas.model.phase_history import PhaseHistory
 
-Item = Echoes | Image
+Item = Echoes | Image | PhaseHistory
 _HEAD = 1024  # bytes of a file that are looked at
 
 
@@ -79,7 +80,7 @@ class Format:
     suffixes : of str
         Names of files that hold it end so, with the dot, in lower case.
     holds : str
-        "echoes", "images" or both.
+        "echoes" (compressed from a phase history by `pysas.load`, where it is one), "images" or both.
     kept, lost : str
         What of a file's content is taken over, and what is not, for the table of docs/formats.md.
     sniff : callable

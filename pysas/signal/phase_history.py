@@ -1,8 +1,9 @@
 """Frequency-domain phase history (stepped-frequency or de-chirped spotlight data) turned into compressed echoes.
 
-Each ping holds the scene's response at K equally spaced frequencies, its phase referred to the range r0 of a scene
-centre. One zero-padded inverse FFT per ping gives the base-band trace about the delay 2 r0/c; the phase of the carrier
-at that delay, reduced in long double, makes it an ordinary trace that every engine understands.
+Each ping holds the scene's response at K equally spaced frequencies, its phase referred to a delay. One zero-padded inverse
+FFT per ping gives the base-band trace about that delay; the phase of the carrier there, reduced in long double, makes it an
+ordinary trace that every engine understands. Pings whose frequencies begin elsewhere are turned by the difference; pings of
+other steps are summed at the common rate by the chirp z-transform (L. Bluestein, IEEE Trans. Audio 18, 1970), as exactly.
 """
 
 from __future__ import annotations
@@ -12,15 +13,13 @@ import numpy.typing as npt
 import scipy.fft
 
 from pysas import _checks
-from pysas._checks import FloatArray
+from pysas._checks import ComplexArray, FloatArray
 from pysas.model.echoes import Echoes
+from pysas.model.phase_history import PhaseHistory, even_grid
 
 _MARGIN = 1.25  # fs over the occupied bandwidth, at least
-# Largest deviation of a frequency from the even grid, in steps. A deviation of d steps turns the phase by pi d at the
-# ends of the unambiguous swath, |R - r0| = c/(4 df), and by less inside: here at most 1.6e-3 rad, -56 dB. Frequencies
-# near 10 GHz stored as float32 are off by up to 512 Hz, 3.5e-4 steps in the public Gotcha data (1.47 MHz steps).
-_UNEVEN = 5e-4
 _BATCH_BYTES = 32 * 2**20
+_MOST = 64  # samples of a trace a frequency: pings whose bands lie further apart have no common base-band
 
 
 @_checks.usual_errors
@@ -60,59 +59,158 @@ def from_phase_history(
     -----
     O(ping K log K) time; the result and about 32 MB of work in memory.
     """
-    spectrum = _checks.samples("samples", samples, (2,))
+    spectrum = _spectrum(samples)
     pings, count = spectrum.shape
-    if count < 2:
-        raise ValueError(f"samples: expected at least 2 frequencies, found shape {spectrum.shape}")
     frequencies = _checks.reals("freq", freq, [(count,)])
     antenna = _checks.reals("position", position, [(pings, 3)], ("ping",))
-    reference = _checks.reals("r0", r0, [(pings,)], ("ping",))
-    if np.any(reference < 0):
-        ping = int(np.argmax(reference < 0))
-        raise ValueError(f"r0: {reference[ping]} at ping {ping}: expected ranges >= 0")
+    reference = _not_negative("r0", r0, pings, "ranges")
     c = _checks.number("c", c, positive=True)
-    step, fc = _even_grid(frequencies)
+    step, fc = even_grid(frequencies)
+    turns = 2 * np.longdouble(fc) * reference.astype(np.longdouble) / np.longdouble(c)
+    steps = np.full(pings, step)
+    data, fs, valid, bandwidth = _traces(spectrum, np.zeros(pings), steps, turns)
+    t0 = 2 * reference / c - (data.shape[1] // 2) / fs
+    return Echoes(data, fs=fs, fc=fc, tx=antenna, rx=antenna, c=c, t0=t0, bandwidth=bandwidth, valid=valid)
+
+
+@_checks.usual_errors
+def compressed(history: PhaseHistory) -> Echoes:
+    """Compressed echoes of any phase history; a unit scatterer peaks at 1, as with `from_phase_history`.
+
+    Pings may differ in their first frequency and in their step. `fc` is the frequency of index K//2 where that is the same
+    in all pings, and else the middle of the band that they occupy together; nothing is interpolated.
+
+    Parameters
+    ----------
+    history : PhaseHistory
+
+    Returns
+    -------
+    Echoes
+        (ping, sample) traces about each ping's reference, fs at least 1.25 times the bandwidth of all pings together; each
+        holds its ping's unambiguous swath of delays, 1/step, where steps differ by `valid`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Wrong shape or dtype, non-finite values, frequencies or steps that are not > 0, references < 0, bands of pings so far
+        apart that traces would have more than 64 K samples; names the first offending ping.
+
+    Notes
+    -----
+    O(ping N log N) time for traces of N samples; the result and about 32 MB of work in memory.
+    """
+    spectrum = _spectrum(history.samples)
+    pings, count = spectrum.shape
+    first = _positive("first", history.first, pings)
+    step = _positive("step", history.step, pings)
+    reference = _not_negative("reference", history.reference, pings, "times")
+    tx = _checks.reals("tx", history.tx, [(pings, 3)], ("ping",))
+    rx = _checks.reals("rx", history.rx, [(pings, 3)], ("ping",))
+    middle = first + (count // 2) * step
+    fc = float(middle[0])
+    if np.any(middle != fc):
+        fc = float((first.min() + (first + (count - 1) * step).max()) / 2)
+    offset = (first - fc) + (count // 2) * step
+    turns = np.longdouble(fc) * reference.astype(np.longdouble)
+    data, fs, valid, bandwidth = _traces(spectrum, offset, step, turns)
+    return Echoes(
+        data, fs=fs, fc=fc, tx=tx, rx=rx, c=_checks.number("c", history.c, positive=True),
+        t0=reference - (data.shape[1] // 2) / fs, velocity=history.velocity, bandwidth=bandwidth, valid=valid,
+        ping_time=history.ping_time, attrs=history.attrs,
+    )  # fmt: skip
+
+
+def _traces(
+    spectrum: ComplexArray, offset: FloatArray, step: FloatArray, turns: npt.NDArray[np.longdouble]
+) -> tuple[ComplexArray, float, npt.NDArray[np.int64] | None, float]:
+    """Traces, their rate, which samples of them count, and the bandwidth.
+
+    `offset` (ping,): frequencies of index K//2 above fc, Hz; `turns`: of the carrier to each ping's reference.
+    """
+    pings, count = spectrum.shape
     middle = count // 2
-    bandwidth = 2 * middle * step
-    n = scipy.fft.next_fast_len(int(np.ceil(_MARGIN * 2 * middle)) + 1)
-    fs = n * step
+    bandwidth = 2 * float(np.max(np.maximum(np.abs(offset - middle * step), np.abs(offset + (count - 1 - middle) * step))))
+    finest = float(step.min())
+    length = np.ceil(max(_MARGIN * bandwidth / finest, _MARGIN * 2 * middle)) + 1
+    if length > _MOST * count:
+        raise ValueError(
+            f"first, step: pings of {bandwidth:.4g} Hz together at steps from {finest:.4g} Hz, {count} frequencies each: "
+            f"expected traces of at most {_MOST * count} samples"
+        )
+    n = scipy.fft.next_fast_len(int(length))
+    fs = n * finest
     dtype = np.complex64 if spectrum.dtype.itemsize == 8 else np.complex128
-    turns = np.asarray(2 * np.longdouble(fc) * reference.astype(np.longdouble) / np.longdouble(c) % 1, dtype=np.float64)
-    carrier = np.exp(-2j * np.pi * turns)
+    carrier = np.exp(-2j * np.pi * np.asarray(turns % 1, dtype=np.float64))
     bins = (np.arange(count) - middle) % n
+    away = np.arange(n) - n // 2  # samples from the reference
+    even = step == finest
     data = np.empty((pings, n), dtype=dtype)
     rows = max(1, _BATCH_BYTES // (3 * 16 * n))
     for start in range(0, pings, rows):
-        part = spectrum[start : start + rows]
+        chosen = slice(start, start + rows)
+        part = spectrum[chosen]
         if not np.isfinite(part).all():
             ping, k = (int(i) for i in np.argwhere(~np.isfinite(part))[0])
             raise ValueError(f"samples: {part[ping, k]} at ping {ping + start}, frequency {k}: expected finite values")
         work = np.zeros((part.shape[0], n), dtype=np.complex128)
-        work[:, bins] = part * (carrier[start : start + rows, None] * (n / count))
-        data[start : start + rows] = scipy.fft.fftshift(scipy.fft.ifft(work, axis=-1), axes=-1)
-    t0 = 2 * reference / c - (n // 2) / fs
-    return Echoes(data, fs=fs, fc=fc, tx=antenna, rx=antenna, c=c, t0=t0, bandwidth=bandwidth)
+        work[:, bins] = part * (carrier[chosen, None] * (n / count))
+        work = scipy.fft.fftshift(scipy.fft.ifft(work, axis=-1), axes=-1)
+        for row in np.flatnonzero(~even[chosen]):
+            ping = start + int(row)
+            work[row] = _summed(part[row] * (carrier[ping] / count), np.longdouble(step[ping]) / np.longdouble(fs), n)
+        turned = np.flatnonzero(offset[chosen])
+        if turned.size:
+            ramp = (offset[chosen][turned].astype(np.longdouble) / np.longdouble(fs))[:, None] * away % 1
+            work[turned] *= np.exp(2j * np.pi * ramp.astype(np.float64))
+        data[chosen] = work
+    return data, fs, None if even.all() else _swaths(finest / step, n), bandwidth
 
 
-def _even_grid(freq: FloatArray) -> tuple[float, float]:
-    """Step and middle frequency (index K//2) of the least-squares even grid through `freq`, Hz, or ValueError."""
-    steps = np.diff(freq)
-    if freq[0] <= 0:
-        raise ValueError(f"freq[0]={freq[0]:g} Hz: expected frequencies > 0")
-    if np.any(steps <= 0):
-        k = int(np.argmax(steps <= 0)) + 1
-        raise ValueError(f"freq[{k}]={freq[k]:.12g} Hz: expected more than freq[{k - 1}]={freq[k - 1]:.12g} Hz")
-    usual = float(np.median(steps))
-    uneven = np.abs(steps - usual) > 2 * _UNEVEN * usual
-    centred = np.arange(freq.size) - (freq.size - 1) / 2
-    middle = float(freq[freq.size // 2])
-    offset = freq - middle
-    step = float(centred @ offset / (centred @ centred))
-    fitted = offset.mean() + step * centred
-    off = np.abs(offset - fitted) > _UNEVEN * step
-    if uneven.any() or off.any():
-        first = int(np.argmax(uneven)) + 1 if uneven.any() else int(np.argmax(off))
-        raise ValueError(
-            f"freq[{first}]={freq[first]:.12g} Hz: expected equal steps of {usual:.9g} Hz, to {_UNEVEN:g} of a step"
-        )
-    return step, middle + float(fitted[freq.size // 2])
+def _summed(spectrum: ComplexArray, rate: np.longdouble, n: int) -> ComplexArray:
+    """The sum over k of spectrum[k] exp(2j pi rate (k - K//2) (m - n//2)) for m = 0 ... n - 1, in O(n log n).
+
+    By k m = (k^2 + m^2 - (m - k)^2)/2 it is a convolution.
+    """
+    count = spectrum.size
+    k = np.arange(count) - count // 2
+    m = np.arange(n) - n // 2
+
+    def chirp(j: npt.NDArray[np.int64]) -> ComplexArray:
+        return np.asarray(np.exp(2j * np.pi * (rate / 2 * j**2 % 1).astype(np.float64)))
+
+    size = scipy.fft.next_fast_len(n + count - 1)
+    kernel = scipy.fft.fft(chirp(np.arange(n + count - 1) + m[0] - k[-1]).conj(), size)
+    found = scipy.fft.ifft(scipy.fft.fft(spectrum * chirp(k), size) * kernel)[count - 1 : count - 1 + n]
+    return np.asarray(found * chirp(m))
+
+
+def _swaths(share: FloatArray, n: int) -> npt.NDArray[np.int64]:
+    """First and last sample of the unambiguous swaths, `share` of n samples about the reference."""
+    half = share * n / 2
+    first = np.maximum(np.ceil(n // 2 - half), 0)
+    last = np.minimum(np.ceil(n // 2 + half) - 1, n - 1)
+    return np.stack([first, last], axis=1).astype(np.int64)
+
+
+def _spectrum(samples: npt.ArrayLike) -> ComplexArray:
+    spectrum = _checks.samples("samples", samples, (2,))
+    if spectrum.shape[1] < 2:
+        raise ValueError(f"samples: expected at least 2 frequencies, found shape {spectrum.shape}")
+    return spectrum
+
+
+def _not_negative(name: str, value: npt.ArrayLike, pings: int, what: str) -> FloatArray:
+    array = _checks.reals(name, value, [(pings,)], ("ping",))
+    if np.any(array < 0):
+        ping = int(np.argmax(array < 0))
+        raise ValueError(f"{name}: {array[ping]} at ping {ping}: expected {what} >= 0")
+    return array
+
+
+def _positive(name: str, value: npt.ArrayLike, pings: int) -> FloatArray:
+    array = _checks.reals(name, value, [(pings,)], ("ping",))
+    if np.any(array <= 0):
+        ping = int(np.argmax(array <= 0))
+        raise ValueError(f"{name}: {array[ping]} at ping {ping}: expected Hz > 0")
+    return array
