@@ -280,7 +280,7 @@ BAD_RECORDS: list[tuple[str, dict[str, Any], type[Exception], str]] = [
     ("first zero", {"first": [9e9, 9e9, 0.0, 9e9]}, ValueError, "first: 0.0 at ping 2: expected Hz > 0"),
     ("step negative", {"step": [1e6, 1e6, 1e6, -1e6]}, ValueError, "step: -1000000.0 at ping 3"),
     ("step shape", {"step": 1e6}, ValueError, r"step: expected shape \(4,\)"),
-    ("far apart", {"first": [9e9, 9e9, 9e10, 9e9]}, ValueError, "first, step: pings of 8.* expected traces of at most 3840"),
+    ("far apart", {"first": [9e9, 9e9, 9e10, 9e9]}, ValueError, "first, step: pings of 8.* expected traces of at most 4096"),
     ("fine step", {"step": [1e6, 1e-3, 1e6, 1e6]}, ValueError, "first, step: pings of .* steps from 0.001 Hz"),
     ("reference", {"reference": [1e-5, 1e-5, -1e-5, 1e-5]}, ValueError, "reference: -1e-05 at ping 2: expected times >= 0"),
     ("tx", {"tx": np.zeros((3, 3))}, ValueError, r"tx: expected shape \(4, 3\)"),
@@ -296,3 +296,54 @@ BAD_RECORDS: list[tuple[str, dict[str, Any], type[Exception], str]] = [
 def test_errors_of_records(change: dict[str, Any], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         compressed(PhaseHistory(**{**vars(RECORD), **change}))
+
+
+# Samples over delay
+
+
+def delays(**changes: Any) -> PhaseHistory:
+    """Points' echoes over delay as a transform of flat bands leaves them, written out; two bands about other middles."""
+    position, _ = survey(4)
+    band = np.array([[9.3e9, 9.5e9], [9.3e9, 9.5e9], [9.35e9, 9.55e9], [9.3e9, 9.5e9]])
+    reference = 2 * np.linalg.norm(position, axis=1) / C
+    tau = 2 * np.sqrt(np.sum((np.array([3.0, -5.0, 0.0], np.longdouble) - position) ** 2, axis=1)) / np.longdouble(C)
+    late = (tau - reference)[:, None]
+    first, step = np.array([-1e-7, -1.1e-7, -9e-8, -1e-7]), np.full(4, 3.5e-9)
+    q = np.sinc(((first[:, None] + step[:, None] * np.arange(60) - late) * 200e6).astype(float))
+    turns = band.mean(axis=1)[:, None] * late
+    fields: dict[str, Any] = {
+        "samples": q * np.exp(-2j * np.pi * (turns % 1).astype(float)), "first": first, "step": step, "tx": position,
+        "rx": position, "reference": reference, "c": C, "band": band,
+    }  # fmt: skip
+    return PhaseHistory(**fields | changes)
+
+
+def test_delays_become_echoes_of_the_model() -> None:
+    """p(t - tau) exp(-2j pi fc tau) with p(u) = sinc(B u) exp(2j pi (middle - fc) u), whatever the reference was."""
+    known = delays()
+    echoes = compressed(known)
+    assert echoes.fs == pytest.approx(1 / 3.5e-9) and echoes.fc == 9.425e9 and echoes.bandwidth == pytest.approx(250e6)
+    tau = 2 * np.sqrt(np.sum((np.array([3.0, -5.0, 0.0], np.longdouble) - known.tx) ** 2, axis=1)) / np.longdouble(C)
+    assert known.band is not None
+    for ping in range(4):
+        t = known.reference[ping] + np.longdouble(known.first[ping]) + np.arange(60) * np.longdouble(known.step[ping])
+        u = t - tau[ping]
+        turns = (known.band[ping].mean() - echoes.fc) * u - echoes.fc * tau[ping]
+        expected = np.sinc((u * 200e6).astype(float)) * np.exp(2j * np.pi * (turns % 1).astype(float))
+        assert np.abs(echoes.data[ping] - expected).max() < 1e-8  # 9.4 GHz at 68 us, of which float64 tells 1e-20 s
+        assert abs(float(t[0]) - echoes.start_time[ping]) < 1e-19
+
+
+BAD_DELAYS: list[tuple[str, dict[str, Any], str]] = [
+    ("band", {"band": _changed(delays().band, (1, 1), 9.2e9)}, "band: 9.3e.09 to 9.2e.09 Hz at ping 1"),
+    ("bands apart", {"band": _changed(delays().band, 2, [8e9, 8.1e9])}, "step: 3.5e-09 s for 1.5e.09 Hz of all pings"),
+    ("step", {"step": _changed(delays().step, 3, 4.1e-9)}, "step: 4.1e-09 s at ping 3, 3.5e-09 s at ping 0: expected one step"),
+    ("step zero", {"step": np.zeros(4)}, "step: 0.0 at ping 0: expected s > 0"),
+    ("samples", {"samples": _changed(delays().samples, (2, 7), np.nan)}, "at ping 2, delay 7: expected finite"),
+]
+
+
+@pytest.mark.parametrize(("change", "text"), [b[1:] for b in BAD_DELAYS], ids=[b[0] for b in BAD_DELAYS])
+def test_errors_of_delays(change: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        compressed(delays(**change))

@@ -1,4 +1,7 @@
-"""Phase history: what each ping heard at equally spaced frequencies, as radars and stepped-frequency sonars record it."""
+"""Phase history: what each ping heard at equally spaced frequencies, as radars and stepped-frequency sonars record it.
+
+Or at equally spaced delays, where a radar has transformed it already.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +23,24 @@ _UNEVEN = 5e-4
 class PhaseHistory:
     """The model is samples[p, k] = sum over scatterers of a exp(-2j pi f[p, k] (tau[p] - reference[p])).
 
-    tau is the two-way travel time by way of a scatterer and f[p, k] = first[p] + k step[p].
+    tau is the two-way travel time by way of a scatterer and f[p, k] = first[p] + k step[p]. With a `band` samples lie over
+    delay instead, about its middle b[p]: samples[p, k] = sum of a q(first[p] + k step[p] - (tau[p] - reference[p]))
+    exp(-2j pi b[p] (tau[p] - reference[p])) with q real and 1 at 0.
 
     Parameters
     ----------
     samples : (ping, K) complex64 or complex128
         Responses.
     first, step : (ping,)
-        Frequency of sample 0 and the steps to the others, Hz.
+        Frequency of sample 0 and the steps to the others, Hz; with a `band` the delay after `reference`, s.
     tx, rx : (ping, 3)
         Transmitter at transmission; receiver at transmission, m.
     reference : (ping,)
         Two-way travel time to which each ping's phase is referred, s.
     c : float
         Propagation speed, m/s.
+    band : (ping, 2), optional
+        Lowest and highest frequency of samples over delay, Hz. None: samples lie over frequency.
     velocity : (ping, 3), optional
         Of the receivers until the echo arrives, m/s. None: they stand.
     ping_time : (ping,), optional
@@ -49,6 +56,7 @@ class PhaseHistory:
     rx: FloatArray
     reference: FloatArray
     c: float
+    band: FloatArray | None = None
     velocity: FloatArray | None = None
     ping_time: FloatArray | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)

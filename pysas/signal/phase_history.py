@@ -8,6 +8,8 @@ other steps are summed at the common rate by the chirp z-transform (L. Bluestein
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
@@ -19,7 +21,7 @@ from pysas.model.phase_history import PhaseHistory, even_grid
 
 _MARGIN = 1.25  # fs over the occupied bandwidth, at least
 _BATCH_BYTES = 32 * 2**20
-_MOST = 64  # samples of a trace a frequency: pings whose bands lie further apart have no common base-band
+_MOST = 64  # samples of a trace a frequency, or of 64 frequencies: pings whose bands lie further apart have no common base-band
 
 
 @_checks.usual_errors
@@ -93,8 +95,9 @@ def compressed(history: PhaseHistory) -> Echoes:
     Raises
     ------
     ValueError, TypeError
-        Wrong shape or dtype, non-finite values, frequencies or steps that are not > 0, references < 0, bands of pings so far
-        apart that traces would have more than 64 K samples; names the first offending ping.
+        Wrong shape or dtype, non-finite values, frequencies or steps that are not > 0, references < 0, delays whose steps
+        differ from ping to ping or are longer than 1/bandwidth, bands of pings so far apart that traces would have more than
+        64 max(K, 64) samples; names the first offending ping.
 
     Notes
     -----
@@ -102,11 +105,11 @@ def compressed(history: PhaseHistory) -> Echoes:
     """
     spectrum = _spectrum(history.samples)
     pings, count = spectrum.shape
+    if history.band is not None:
+        return _of_delays(history, spectrum)
     first = _positive("first", history.first, pings)
     step = _positive("step", history.step, pings)
     reference = _not_negative("reference", history.reference, pings, "times")
-    tx = _checks.reals("tx", history.tx, [(pings, 3)], ("ping",))
-    rx = _checks.reals("rx", history.rx, [(pings, 3)], ("ping",))
     middle = first + (count // 2) * step
     fc = float(middle[0])
     if np.any(middle != fc):
@@ -114,10 +117,48 @@ def compressed(history: PhaseHistory) -> Echoes:
     offset = (first - fc) + (count // 2) * step
     turns = np.longdouble(fc) * reference.astype(np.longdouble)
     data, fs, valid, bandwidth = _traces(spectrum, offset, step, turns)
+    t0 = reference - (data.shape[1] // 2) / fs
+    return _echoes(history, data, fs=fs, fc=fc, t0=t0, bandwidth=bandwidth, valid=valid)
+
+
+def _of_delays(history: PhaseHistory, samples: ComplexArray) -> Echoes:
+    """Traces that lie over delay already, with the carrier's phase at their reference and about one frequency."""
+    pings, count = samples.shape
+    first = _checks.reals("first", history.first, [(pings,)], ("ping",))
+    step = _positive("step", history.step, pings, "s")
+    reference = _not_negative("reference", history.reference, pings, "times")
+    band = _checks.reals("band", history.band, [(pings, 2)], ("ping",))
+    wrong = (band[:, 0] <= 0) | (band[:, 1] <= band[:, 0])
+    if wrong.any():
+        ping = int(np.argmax(wrong))
+        raise ValueError(f"band: {band[ping, 0]:g} to {band[ping, 1]:g} Hz at ping {ping}: expected 0 < lowest < highest")
+    # last samples lie within a millionth of a sample of where their own steps put them
+    other = np.abs(step - step[0]) * count > 1e-6 * step[0]
+    if other.any():
+        ping = int(np.argmax(other))
+        raise ValueError(f"step: {step[ping]:.12g} s at ping {ping}, {step[0]:.12g} s at ping 0: expected one step of delays")
+    middle = band.mean(axis=1)
+    fc = float(middle[0]) if np.all(middle == middle[0]) else float((band[:, 0].min() + band[:, 1].max()) / 2)
+    fs, bandwidth = 1 / float(step[0]), 2 * float(np.abs(band - fc).max())
+    if fs < bandwidth:
+        raise ValueError(f"step: {step[0]:g} s for {bandwidth:g} Hz of all pings together: expected at most 1/bandwidth")
+    dtype = np.complex64 if samples.dtype.itemsize == 8 else np.complex128
+    data = np.empty((pings, count), dtype=dtype)
+    for ping in range(pings):
+        if not np.isfinite(samples[ping]).all():
+            k = int(np.argmin(np.isfinite(samples[ping])))
+            raise ValueError(f"samples: {samples[ping, k]} at ping {ping}, delay {k}: expected finite values")
+        after = first[ping] + np.longdouble(step[0]) * np.arange(count)
+        turns = np.longdouble(middle[ping] - fc) * after - np.longdouble(fc) * np.longdouble(reference[ping])
+        data[ping] = samples[ping] * np.exp(2j * np.pi * np.asarray(turns % 1, dtype=np.float64))
+    return _echoes(history, data, fs=fs, fc=fc, t0=reference + first, bandwidth=bandwidth)
+
+
+def _echoes(history: PhaseHistory, data: ComplexArray, **sampling: Any) -> Echoes:
+    c = _checks.number("c", history.c, positive=True)
     return Echoes(
-        data, fs=fs, fc=fc, tx=tx, rx=rx, c=_checks.number("c", history.c, positive=True),
-        t0=reference - (data.shape[1] // 2) / fs, velocity=history.velocity, bandwidth=bandwidth, valid=valid,
-        ping_time=history.ping_time, attrs=history.attrs,
+        data, c=c, tx=history.tx, rx=history.rx, velocity=history.velocity, ping_time=history.ping_time, attrs=history.attrs,
+        **sampling,
     )  # fmt: skip
 
 
@@ -133,10 +174,10 @@ def _traces(
     bandwidth = 2 * float(np.max(np.maximum(np.abs(offset - middle * step), np.abs(offset + (count - 1 - middle) * step))))
     finest = float(step.min())
     length = np.ceil(max(_MARGIN * bandwidth / finest, _MARGIN * 2 * middle)) + 1
-    if length > _MOST * count:
+    if length > _MOST * max(count, _MOST):
         raise ValueError(
             f"first, step: pings of {bandwidth:.4g} Hz together at steps from {finest:.4g} Hz, {count} frequencies each: "
-            f"expected traces of at most {_MOST * count} samples"
+            f"expected traces of at most {_MOST * max(count, _MOST)} samples"
         )
     n = scipy.fft.next_fast_len(int(length))
     fs = n * finest
@@ -208,9 +249,9 @@ def _not_negative(name: str, value: npt.ArrayLike, pings: int, what: str) -> Flo
     return array
 
 
-def _positive(name: str, value: npt.ArrayLike, pings: int) -> FloatArray:
+def _positive(name: str, value: npt.ArrayLike, pings: int, unit: str = "Hz") -> FloatArray:
     array = _checks.reals(name, value, [(pings,)], ("ping",))
     if np.any(array <= 0):
         ping = int(np.argmax(array <= 0))
-        raise ValueError(f"{name}: {array[ping]} at ping {ping}: expected Hz > 0")
+        raise ValueError(f"{name}: {array[ping]} at ping {ping}: expected {unit} > 0")
     return array
