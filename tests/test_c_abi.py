@@ -174,7 +174,7 @@ def test_every_isa_and_thread_count(library):
     for threads in (1, 3, 7):
         found = image(library, echoes, PLANE, 1e-4, change=lambda s, g, o, n=threads: setattr(o, "threads", n))
         assert np.array_equal(found, expected)
-    for isa in (b"baseline", b"avx2", b"avx512"):
+    for isa in (b"baseline", b"avx2", b"avx512", b"neon"):
         found = image(library, echoes, PLANE, 1e-4, change=lambda s, g, o, name=isa: setattr(o, "isa", name))
         assert isinstance(found, int) and found == 1 or np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
 
@@ -360,7 +360,7 @@ def test_a_beam_that_reaches_every_pixel_is_none(library):
 def test_ffbp_on_every_isa_and_thread_count(library):
     echoes, grid = test_c_python.SCENES["one receiver"][0](), test_c_python.SCENES["one receiver"][1]
     pixels, exact, level = answer(echoes, grid)
-    for isa in (None, b"baseline", b"avx2", b"avx512"):
+    for isa in (None, b"baseline", b"avx2", b"avx512", b"neon"):
         one = image(library, echoes, grid, 1e-3, change=lambda s, g, o, name=isa: setattr(o, "isa", name))
         if isinstance(one, int):
             assert one == 1  # not on this machine

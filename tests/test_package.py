@@ -284,7 +284,7 @@ def test_extension_is_what_its_stub_says() -> None:
 def test_extension_reports_itself() -> None:
     from pysas.engine import _core
 
-    assert set(_core.levels()) <= {"baseline", "avx2", "avx512"} and _core.isa("auto") == _core.levels()[-1]
+    assert set(_core.levels()) <= {"baseline", "avx2", "avx512", "neon"} and _core.isa("auto") == _core.levels()[-1]
     assert re.fullmatch(r"(gcc|clang|msvc) \S.*", _core.compiler())
     config = pysas.show_config("dict")
     assert config is not None

@@ -1,5 +1,6 @@
 // Kernels for AArch64, whose every processor has these 128-bit registers: 8 floats or 4 doubles a vector, in two of
-// them, windows of up to four vectors by look-ups of bytes in tables of two or four registers.
+// them, windows of up to two vectors by look-ups of bytes in tables of two or four registers, loads lane by lane
+// beyond.
 //
 // A vector is two registers: what a vector of pixels costs beside its arithmetic (broadcasts, addresses, loops) is paid
 // once for both, and a processor that runs instructions in order has two chains to run side by side.
@@ -7,6 +8,13 @@
 #include <math.h>
 
 #include "core/kernels.hpp"
+
+// Into loops whose length counts: a pair of registers through a call costs more than a look-up.
+#if defined(_MSC_VER) && !defined(__clang__)
+#define PYSAS_INTO __forceinline
+#else
+#define PYSAS_INTO __attribute__((always_inline)) inline
+#endif
 
 namespace pysas::neon {
 namespace {
@@ -23,20 +31,16 @@ uint8x16_t bytes_of(uint8x16_t k, const std::uint8_t (&low)[16], const std::uint
     return vsliq_n_u8(vld1q_u8(within), vqtbl1q_u8(k, vld1q_u8(low)), Shift);
 }
 
-// Bytes of the table at `p`, W times two registers long; past its end are zeros, which no pixel reads.
+// Bytes of the table at `p`, W times two registers long.
 template <int W>
-Pair<uint8x16_t> look_up(const void* p, Pair<uint8x16_t> at) {
-    const auto* const table = static_cast<const std::uint8_t*>(p);
+PYSAS_INTO Pair<uint8x16_t> look_up(const void* p, Pair<uint8x16_t> at) {
+    const auto* const bytes = static_cast<const std::uint8_t*>(p);
     if constexpr (W == 1) {
-        const uint8x16x2_t all = vld1q_u8_x2(table);
-        return {vqtbl2q_u8(all, at.a), vqtbl2q_u8(all, at.b)};
+        const uint8x16x2_t table = vld1q_u8_x2(bytes);
+        return {vqtbl2q_u8(table, at.a), vqtbl2q_u8(table, at.b)};
     } else {
-        const uint8x16x4_t low = vld1q_u8_x4(table);
-        const Pair<uint8x16_t> found = {vqtbl4q_u8(low, at.a), vqtbl4q_u8(low, at.b)};
-        if constexpr (W == 2) return found;
-        const uint8x16x4_t high = vld1q_u8_x4(table + 64);
-        const uint8x16_t behind = vdupq_n_u8(64);
-        return {vqtbx4q_u8(found.a, high, vsubq_u8(at.a, behind)), vqtbx4q_u8(found.b, high, vsubq_u8(at.b, behind))};
+        const uint8x16x4_t table = vld1q_u8_x4(bytes);
+        return {vqtbl4q_u8(table, at.a), vqtbl4q_u8(table, at.b)};
     }
 }
 
@@ -45,7 +49,7 @@ struct Float {
     using vec = Pair<float32x4_t>;
     using idx = Pair<int32x4_t>;
     static constexpr int n = 8;
-    static constexpr int windows = 4;
+    static constexpr int windows = 2;
 
     static vec set(float a) { return {vdupq_n_f32(a), vdupq_n_f32(a)}; }
     static vec load(const float* p) { return {vld1q_f32(p), vld1q_f32(p + 4)}; }
@@ -73,20 +77,20 @@ struct Float {
         return {vsubq_s32(bits(x).a, magic), vsubq_s32(bits(x).b, magic)};
     }
     static idx load_index(const std::int32_t* p) { return {vld1q_s32(p), vld1q_s32(p + 4)}; }
-    static float32x4_t gather_four(const float* p, int32x4_t k) {
+    static PYSAS_INTO float32x4_t gather_four(const float* p, int32x4_t k) {
         float32x4_t out = vld1q_dup_f32(p + vgetq_lane_s32(k, 0));
         out = vld1q_lane_f32(p + vgetq_lane_s32(k, 1), out, 1);
         out = vld1q_lane_f32(p + vgetq_lane_s32(k, 2), out, 2);
         return vld1q_lane_f32(p + vgetq_lane_s32(k, 3), out, 3);
     }
-    static vec gather(const float* p, idx k) { return {gather_four(p, k.a), gather_four(p, k.b)}; }
+    static PYSAS_INTO vec gather(const float* p, idx k) { return {gather_four(p, k.a), gather_four(p, k.b)}; }
     static uint8x16_t bytes(int32x4_t k) {
         static constexpr std::uint8_t low[16] = {0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12};
         static constexpr std::uint8_t within[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
         return bytes_of<2>(vreinterpretq_u8_s32(k), low, within);
     }
     template <int W>
-    static vec pick(const float* p, idx k) {
+    static PYSAS_INTO vec pick(const float* p, idx k) {
         const auto found = look_up<W>(p, {bytes(k.a), bytes(k.b)});
         return {vreinterpretq_f32_u8(found.a), vreinterpretq_f32_u8(found.b)};
     }
@@ -104,7 +108,7 @@ struct Double {
     using vec = Pair<float64x2_t>;
     using idx = Pair<int64x2_t>;
     static constexpr int n = 4;
-    static constexpr int windows = 4;
+    static constexpr int windows = 2;
 
     static vec set(double a) { return {vdupq_n_f64(a), vdupq_n_f64(a)}; }
     static vec load(const double* p) { return {vld1q_f64(p), vld1q_f64(p + 2)}; }
@@ -148,14 +152,14 @@ struct Double {
     static float64x2_t gather_two(const double* p, int64x2_t k) {
         return vld1q_lane_f64(p + vgetq_lane_s64(k, 1), vld1q_dup_f64(p + vgetq_lane_s64(k, 0)), 1);
     }
-    static vec gather(const double* p, idx k) { return {gather_two(p, k.a), gather_two(p, k.b)}; }
+    static PYSAS_INTO vec gather(const double* p, idx k) { return {gather_two(p, k.a), gather_two(p, k.b)}; }
     static uint8x16_t bytes(int64x2_t k) {
         static constexpr std::uint8_t low[16] = {0, 0, 0, 0, 0, 0, 0, 0, 8, 8, 8, 8, 8, 8, 8, 8};
         static constexpr std::uint8_t within[16] = {0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7};
         return bytes_of<3>(vreinterpretq_u8_s64(k), low, within);
     }
     template <int W>
-    static vec pick(const double* p, idx k) {
+    static PYSAS_INTO vec pick(const double* p, idx k) {
         const auto found = look_up<W>(p, {bytes(k.a), bytes(k.b)});
         return {vreinterpretq_f64_u8(found.a), vreinterpretq_f64_u8(found.b)};
     }

@@ -35,7 +35,7 @@ constexpr Costs known[] = {
     // look-ups in more than two registers counted twice: docs/performance.md
     {"neon",
      1.07, 0.2, 20.0, 7.0, 0.25,
-     8, {{1, 1.0}, {2, 1.4}, {4, 3.0}, {all, 3.1}},
+     8, {{1, 1.0}, {2, 1.4}, {all, 3.1}, {all, 3.1}},
      {1.9, 8.5, {3.2, 1.3}, {14.0, 1.5}}},
 };
 // clang-format on

@@ -17,7 +17,7 @@ _STYLES = {
     "one-way": ("*", "tab:pink"), "fourier_image, nufft": ("h", "tab:olive"), "fourier_image, gridding": ("<", "tab:cyan"),
     "fourier_image, frame": (">", "tab:orange"), "fourier_image, ftcg": ("d", "goldenrod"), "plain loop": ("p", "black"),
 }  # fmt: skip
-_KERNELS = {"numba": "s", "avx512": "o", "avx2": "^", "baseline": "v"}
+_KERNELS = {"numba": "s", "avx512": "o", "avx2": "^", "neon": "<", "baseline": "v"}
 
 
 def figure(comparisons: Mapping[str, Comparison]) -> Any:
