@@ -32,7 +32,7 @@ define core_program
 	$(1) build/$(2)/*.o -pthread $(5) -o build/$(2)/$(3)
 endef
 # what csrc/isa/sets.txt has for the machine that the compiler $(1) compiles for
-machine_of = $(patsubst aarch64%,arm64,$(patsubst arm64%,arm64,$(patsubst i%86%,x86,$(patsubst x86_64%,x86,$(shell $(1) -dumpmachine)))))
+machine_of = $(patsubst aarch64%,arm64,$(patsubst arm64%,arm64,$(patsubst i%86%,x86,$(patsubst x86_64%,x86,$(shell $(1) -dumpmachine 2>/dev/null)))))
 sets_of = $(shell awk -F"[ |]+" '$$2 == "$(call machine_of,$(1))" { print $$1 }' csrc/isa/sets.txt)
 SETS = $(call sets_of,$(CXX))
 STRICT = -std=c++17 -g -ffp-contract=off -fno-omit-frame-pointer -Wall -Wextra -Werror -Icsrc -Icsrc/include
@@ -49,21 +49,26 @@ tsan:
 	$(call core_program,$(CLANGXX) -O1 -Wno-unknown-warning-option -fsanitize=thread,tsan,test_core,baseline)
 	build/tsan/test_core
 
-# The core for 64-bit ARM, compiled across and run by qemu: the core's tests with UBSan; then, as it is shipped, scenes through
-# the C ABI against the oracle, whose answers are made before. CROSS empty and CROSSXX=g++: the same on this machine.
+# The core for 64-bit ARM, compiled across and run by qemu, with UBSan; then, with kernels as they are shipped in place of those,
+# scenes through the C ABI against the oracle, whose answers are made before. CROSS= and CROSSXX=g++: the same on this machine.
 CROSSXX ?= aarch64-linux-gnu-g++
 CROSS ?= qemu-aarch64 -L /usr/aarch64-linux-gnu
+UBSAN = -O1 -fsanitize=undefined -fno-sanitize-recover=all
 qemu:
-	@command -v $(CROSSXX) >/dev/null || { echo "make qemu needs $(CROSSXX): apt-get install g++-aarch64-linux-gnu"; exit 1; }
-	@command -v $(firstword $(CROSS) true) >/dev/null || { echo "make qemu needs $(firstword $(CROSS)): apt-get install qemu-user"; exit 1; }
-	mkdir -p build/qemu/scenes
-	$(PYTHON) tests/oracle_scenes.py build/qemu/scenes.bin
-	$(CROSSXX) $(STRICT) -O1 csrc/tests/test_cpu.cpp csrc/core/cpu.cpp -o build/qemu/test_cpu
+	@missing=; command -v $(CROSSXX) >/dev/null || missing=" g++-aarch64-linux-gnu"; \
+	command -v $(firstword $(CROSS) true) >/dev/null || missing="$$missing qemu-user"; \
+	[ -z "$$missing" ] || { echo "make qemu needs packages that are not installed:$$missing"; exit 1; }
+	rm -rf build/qemu
+	$(call core_program,$(CROSSXX) $(UBSAN),qemu,test_core,baseline $(call sets_of,$(CROSSXX)))
+	$(CROSS) build/qemu/test_core
+	rm build/qemu/test_core*
+	printf '%s\n' baseline $(call sets_of,$(CROSSXX)) | xargs -P $(JOBS) -I{} sh -c 'exec $(CROSSXX) $(STRICT) -O3 \
+		$$(sed -n "s/^{} *|[^|]*|\([^|]*\)|.*/\1/p" csrc/isa/sets.txt) -c csrc/isa/{}.cpp -o build/qemu/{}.o'
+	$(CROSSXX) $(STRICT) $(UBSAN) csrc/tests/test_scenes.cpp build/qemu/*.o -pthread -o build/qemu/test_scenes
+	$(CROSSXX) $(STRICT) $(UBSAN) csrc/tests/test_cpu.cpp csrc/core/cpu.cpp -o build/qemu/test_cpu
 	$(CROSS) build/qemu/test_cpu
-	$(call core_program,$(CROSSXX) -O1 -fsanitize=undefined -fno-sanitize-recover=all,qemu/core,test_core,baseline $(call sets_of,$(CROSSXX)))
-	$(CROSS) build/qemu/core/test_core
-	$(call core_program,$(CROSSXX) -O3,qemu/scenes,test_scenes,baseline $(call sets_of,$(CROSSXX)))
-	$(CROSS) build/qemu/scenes/test_scenes build/qemu/scenes.bin
+	$(PYTHON) tests/oracle_scenes.py build/qemu/scenes.bin
+	$(CROSS) build/qemu/test_scenes build/qemu/scenes.bin
 
 # without traces of comparisons: they made ten seconds of a third of one in loops over filters' taps, and find nothing among
 # doubles
