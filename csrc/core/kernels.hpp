@@ -8,6 +8,13 @@
 
 #include <cstdint>
 
+// Of what compilers leave out of hot loops, though its vectors then go through memory.
+#if defined(_MSC_VER) && !defined(__clang__)
+#define PYSAS_INLINE __forceinline
+#else
+#define PYSAS_INLINE inline __attribute__((always_inline))
+#endif
+
 namespace pysas {
 
 constexpr int tile_rows = 32;

@@ -2,8 +2,8 @@
 // wide, `planes` at its first interval) or gathered from anywhere (W = 0).
 
 template <class V, int D, int W>
-inline void read(const typename V::real* planes, std::int64_t stride, typename V::idx k, typename V::vec t,
-                 typename V::vec& re, typename V::vec& im) {
+PYSAS_INLINE void read(const typename V::real* planes, std::int64_t stride, typename V::idx k, typename V::vec t,
+                       typename V::vec& re, typename V::vec& im) {
     const auto coefficient = [&](int plane) {
         const typename V::real* p = planes + plane * stride;
         if constexpr (W == 0)
