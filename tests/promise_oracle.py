@@ -172,7 +172,8 @@ def _geometry(echoes):
             axis = np.cross(boresight, [0.0, 0.0, 1.0]) if given.axis is None else np.broadcast_to(given.axis, (pings, 3))
             axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     arrays = (echoes.start_time, echoes.tx, echoes.receivers, velocity, boresight, axis)
-    return (*(np.ascontiguousarray(a, dtype=np.float64) for a in arrays), beam)
+    # copies, as read-only arrays would be a type of their own to Numba: each loop is compiled once
+    return (*(np.array(a, dtype=np.float64, order="C") for a in arrays), beam)
 
 
 def _speeds(echoes):
@@ -184,7 +185,7 @@ def _ends(echoes):
     """(ping, channel, 2) first and last sample recorded."""
     valid = np.tile([0, echoes.n_sample - 1], (echoes.n_ping, 1)) if echoes.valid is None else echoes.valid
     valid = valid if valid.ndim == 3 else np.tile(valid[:, None], (1, echoes.n_channel, 1))
-    return np.ascontiguousarray(valid)
+    return np.array(valid, dtype=np.int64, order="C")
 
 
 def delays(echoes, points):
