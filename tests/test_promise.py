@@ -63,6 +63,7 @@ def test_promise_is_kept_by_every_engine():
     assert not broken, "\n" + "\n".join(broken)
 
 
+@pytest.mark.reference
 def test_scenes_are_of_every_kind():
     """What the seeds of CI draw: every family, track, array, grid and kind of data, and enough trees to mean something."""
     drawn = [promise_scenes.draw(seed) for seed in range(SCENES)]
@@ -84,6 +85,7 @@ def test_scenes_are_of_every_kind():
     assert np.array_equal(again.echoes.data, drawn[17].echoes.data) and again.tol == drawn[17].tol
 
 
+@pytest.mark.reference
 def test_oracle_is_the_definition():
     """Its kernel is W's transform, its delay solves c tau = |x - tx| + |x - rx - v tau|, its sum is that of the reference."""
     f = (np.arange(200_000) + 0.5) / 400_000
