@@ -53,3 +53,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.numba)
         if not built and item.get_closest_marker("cpp"):
             item.add_marker(pytest.mark.skip(reason=NO_EXTENSION))
+    # one of two processes begins where no engine takes part, while the other compiles Numba's kernels, which take half a minute
+    items.sort(key=lambda item: item.get_closest_marker("reference") is None)
