@@ -40,16 +40,24 @@ def survey(pings=240, turn=2 * np.pi, channels=1, beam=None, moving=False, dtype
 PLANE = pysas.Grid.plane(6 + 0.02 * np.arange(130), 4 + 0.02 * np.arange(70))
 
 
+@answers.remembered
 def exact(echoes, grid, number=14):
-    """Some pixels, the oracle's sums there with each pixel's own weights, and the level errors are stated by."""
+    """Some pixels, the oracle's sums there with each pixel's own weights, and the level errors are stated by.
+
+    The oracle gives each trace's term at all of the pixels; a sum is linear in its weights.
+    """
     pixels = np.sort(np.random.default_rng(1).choice(grid.size, min(number, grid.size), replace=False))
-    weights = circular.view_weights(echoes, grid, pixels)
-    both = [
-        answers.exact(echoes, pysas.Grid.points(point[None]), weights=weight)
-        for point, weight in zip(grid.coordinates(pixels), weights, strict=True)
-    ]
-    sums, levels = (np.concatenate(values) for values in zip(*both, strict=True))
-    return pixels, sums, max(np.linalg.norm(sums), np.linalg.norm(levels))
+    weights = circular.view_weights(echoes, grid, pixels).reshape(len(pixels), echoes.n_ping, echoes.n_channel)
+    points, channels = pysas.Grid.points(grid.coordinates(pixels)), np.eye(echoes.n_channel)
+    term = np.array(
+        [
+            [pysas.reference.exact(echoes[ping : ping + 1], points, weights=one[None])[0] for one in channels]
+            for ping in range(echoes.n_ping)
+        ]
+    )
+    weighed = weights * term.transpose(2, 0, 1)
+    sums = weighed.sum(axis=(1, 2))
+    return pixels, sums, max(np.linalg.norm(sums), np.linalg.norm(weighed))
 
 
 def error(image, truth):
