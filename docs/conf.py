@@ -32,8 +32,6 @@ extensions = [
 ]
 exclude_patterns = ["**/README.txt", "gallery/**/*.ipynb", "gallery/**/*.py"]
 templates_path = ["_templates"]
-# pages that are there in some builds alone may be named by a pattern
-suppress_warnings = ["toc.empty_glob"]
 nitpicky = True
 # classes of other libraries, whose documentation is elsewhere
 nitpick_ignore_regex = [("py:.*", r"(scipy|numpy|collections|matplotlib|xarray|distributed)\..*")]
@@ -52,6 +50,7 @@ html_copy_source = False
 
 # types stand in the docstrings, with shapes and units
 autodoc_typehints = "none"
+autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
 autosummary_generate = True
 numpydoc_show_class_members = False
@@ -85,6 +84,11 @@ def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, 
         lines[number] = re.sub(r"(?<!\\)\|", r"\\|", line)
 
 
+def plain_default(app: Sphinx, what: str, name: str, obj: object, options: object, text: str | None, back: object) -> object:
+    """A default that is an object of ours shows as how it is made, not as what it prints."""
+    return None if text is None else (re.sub(r"Frame\(x along heading[^)]*\)", "Frame()", text), back)
+
+
 class Name(PyXRefRole):
     """What stands in single backticks in a docstring: a link to one of our public names, or an argument or a field."""
 
@@ -112,6 +116,7 @@ def nothing_missing(app: Sphinx, env: BuildEnvironment) -> None:
 
 def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", plain_text, priority=1)
+    app.connect("autodoc-process-signature", plain_default)
     app.add_role_to_domain("py", "name", Name())
     app.connect("missing-reference", named)
     app.connect("env-check-consistency", nothing_missing)
