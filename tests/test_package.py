@@ -103,7 +103,7 @@ def test_numba_unasked_is_told_once(unsaid: None, monkeypatch: pytest.MonkeyPatc
     plans = [pysas.plan(*small_scene()) for _ in range(2)]
     (warning,) = recwarn
     assert warning.category is SlowEngineWarning and warning.filename == __file__
-    for part in ("Numba", "two fifths", "half a minute", "extension is not built.", "compiler", "PYSAS_BACKEND=numba"):
+    for part in ("Numba", "two fifths", "ten seconds", "extension is not built.", "compiler", "PYSAS_BACKEND=numba"):
         assert part in str(warning.message)
     assert all(plan.backend == "numba" for plan in plans)
 

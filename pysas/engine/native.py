@@ -50,7 +50,7 @@ def _compiled(folder: str) -> list[str]:
 def warn_of_numba() -> None:
     """Say what it costs that Numba runs, and what to do about it."""
     _checks.warn(
-        "pysas runs on Numba, at about two fifths of the speed, and compiles for half a minute when it is first used: its C++ "
+        "pysas runs on Numba, at about two fifths of the speed, and compiles for ten seconds and more when first used: its C++ "
         f"extension is {absence()}. Install a wheel of pysas for this Python, or a C++17 compiler and pysas again. Where Numba "
         "is meant, backend='numba' or PYSAS_BACKEND=numba says so",
         SlowEngineWarning,
