@@ -19,7 +19,7 @@ from pysas import cli, comparison
 SPANS = ["--x", "-1:1", "--y", "9:11", "--spacing", "0.5"]
 READS = {"raw", "grid", "depth_map", "points", "file", "lines", "store", "samples", "pulse", "nav", "pings", "levers"}
 READS |= {"fs", "fc", "bandwidth", "t0", "c", "pulse_centre"}  # of `echoes`, which may be variables of a file
-TEXTS = {"crs", "dtype", "scheduler"}
+TEXTS = {"crs", "dtype", "scheduler", "channel"}
 WRITES = {"output", "png", "report"}
 # by command: what it reads, with the arguments that name it, and what it may write
 INPUTS = {
