@@ -179,7 +179,7 @@ def chosen_grid(arguments: argparse.Namespace, echoes: Echoes) -> tuple[Grid, st
         z, why = arguments.z, f"z = {arguments.z:g} m"
     else:
         z, why = framing.assumed_height(echoes, arguments.altitude)
-        if arguments.altitude is None and "altitude" not in echoes.attrs and framing.height_matters(echoes):
+        if arguments.altitude is None and not {"altitude", "scene_area"} & set(echoes.attrs) and framing.height_matters(echoes):
             warnings.warn(why, stacklevel=2)
     grid, how = _spanned(arguments, echoes, z)
     if relief is not None:

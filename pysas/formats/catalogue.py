@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from pysas.formats import image_cf, image_geotiff, image_png, matlab_files, own
+from pysas.formats import cphd, image_cf, image_geotiff, image_png, matlab_files, own
 from pysas.formats.format import Format, Look
 
 # in the order in which they are asked whether a file is theirs
-FORMATS: tuple[Format, ...] = (matlab_files.FORMAT, image_cf.FORMAT, own.FORMAT, image_geotiff.FORMAT, image_png.FORMAT)
+FORMATS: tuple[Format, ...] = (
+    matlab_files.FORMAT,
+    image_cf.FORMAT,
+    own.FORMAT,
+    cphd.FORMAT,
+    image_geotiff.FORMAT,
+    image_png.FORMAT,
+)
 
 
 def recognised(look: Look) -> Format | None:

@@ -105,7 +105,9 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     seabed is, and a straight track focuses all of it there, at its slant ranges (see `height_matters`). Down is where beams
     look; without beams, or where they look neither up nor down, z is taken to point up.
     """
-    given = "given"
+    given, area = "given", scene_area(echoes)
+    if altitude is None and area is not None:
+        return area[2], f"z = {area[2]:.10g} m, of the file's scene"
     if altitude is None and "altitude" in echoes.attrs:
         altitude, given = echoes.attrs["altitude"], "of the file's attrs"
     track = course_of(echoes)
@@ -124,6 +126,23 @@ def assumed_height(echoes: Echoes, altitude: float | None = None) -> tuple[float
     z = sonar + (down or -1.0) * altitude
     why = f"z = {z:.10g} m: altitude {altitude:g} m, {given}, from the sonar's z = {sonar:.10g} m"
     return z, why if down else why + ", z taken to point up (--z where it does not)"
+
+
+def scene_area(echoes: Echoes) -> tuple[FloatArray, FloatArray, float] | None:
+    """Corners (2,) and height, m, of the scene that a file was recorded for, by its attrs["scene_area"], or None.
+
+    ValueError where that is no {"x": [low, high], "y": [low, high], "z": height}.
+    """
+    area = echoes.attrs.get("scene_area")
+    if area is None:
+        return None
+    expected = 'attrs["scene_area"]: expected {"x": [low, high], "y": [low, high], "z": height}'
+    if not isinstance(area, Mapping) or not {"x", "y", "z"} <= set(area):
+        raise ValueError(expected)
+    spans = np.stack([_checks.reals(f'attrs["scene_area"][{name!r}]', area[name], [(2,)]) for name in "xy"])
+    if not np.all(spans[:, 1] > spans[:, 0]):
+        raise ValueError(f"{expected}, found {spans.tolist()}")
+    return spans[:, 0], spans[:, 1], _checks.number('attrs["scene_area"]["z"]', area["z"])
 
 
 def height_matters(echoes: Echoes) -> bool:
@@ -166,7 +185,8 @@ def default_grid(
     A track that closes round what it looks at gets a square about its middle that every ping's record covers. Any other gets
     the rectangle beside it, along the mean direction of its lines: x over all of the track (with a quarter of its length to
     spare at each end when the track is short against the range), y over the ranges recorded on the `side` asked for, or where
-    the beam's boresight looks, or else towards +y. Raw records lose half the pulse's length at the far end.
+    the beam's boresight looks, or else towards +y. Raw records lose half the pulse's length at the far end. Echoes of a file
+    that says for which scene they were recorded (`scene_area`) get that.
 
     `spacing` (m, along and across) defaults, along each axis, to 0.8 of the image's Nyquist spacing: with the highest
     frequency f and theta the half-angle the track subtends at mid range (at most the beam's first null), the image's
@@ -179,10 +199,18 @@ def default_grid(
     """
     z = _checks.number("z", z)
     track = course_of(echoes)
-    ground = _recorded(echoes, track, z)
     c = echoes.mean_speed
     finest = c / (2 * (echoes.fc + echoes.occupied_bandwidth / 2))
-    if track.closed:
+    area = scene_area(echoes)
+    if area is not None:
+        if side is not None:
+            raise ValueError(f"side={side!r}: the file says which scene it was recorded for: expected None")
+        low, high = area[:2]
+        steps = (min(_spacing(echoes, track)),) * 2
+        track = replace(track, origin=np.zeros(2), rotation=0.0)  # the area lies on the coordinates' axes
+        how = "the file's scene"
+    elif track.closed:
+        ground = _recorded(echoes, track, z)
         middle = track.places.mean(axis=0)
         radius = float(np.median(np.linalg.norm(track.places - middle, axis=1)))
         half = max(min(ground[1] - radius, radius - ground[0], radius) / np.sqrt(2), finest)
@@ -190,7 +218,7 @@ def default_grid(
         steps = (_round(0.4 * finest),) * 2
         how = "square inside a closed track"
     else:
-        low, high, how = _beside(echoes, track, ground, z, side)
+        low, high, how = _beside(echoes, track, _recorded(echoes, track, z), z, side)
         steps = _spacing(echoes, track)
     if spacing is not None:
         steps = (_checks.number("spacing", spacing[0], positive=True), _checks.number("spacing", spacing[1], positive=True))

@@ -1,0 +1,308 @@
+"""CPHD as sarkit writes it: where points are imaged, what is kept, and what damaged and hostile files do."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pysas
+from pysas.formats import catalogue
+from pysas.formats.format import Look
+
+pytest.importorskip("sarkit")
+
+import radar_scenes
+from radar_scenes import Pass, write
+from sarkit.verification import CphdConsistency
+
+pytestmark = pytest.mark.filterwarnings("ignore:(read|open)_text is deprecated:DeprecationWarning")  # sarkit's own
+
+SCENES = {
+    "FX, SGN -1": Pass(),
+    "FX, SGN +1": Pass(sign=1),
+    "version 1.0.1": Pass(version="1.0.1"),
+    "bistatic": Pass(bistatic=True),
+    "agile": Pass(hops=(0.0, 40e6, -25e6), steps=(2.5e6, 2.6e6)),
+    "TOA, SGN -1": Pass(domain="TOA"),
+    "TOA, SGN +1, bistatic": Pass(domain="TOA", sign=1, bistatic=True),
+    "constant height": Pass(surface="HAE"),
+    "scales": Pass(scale=True),
+    "bytes": Pass(form="CI2"),
+    "words, scales": Pass(form="CI4", scale=True),
+}
+UNIT = {"CF8": 1.0, "CI4": 8000.0, "CI2": 30.0}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_a_point_is_imaged_where_it_is(case: str, tmp_path: Path) -> None:
+    """At its place to 1e-3 of a pixel of 0.2 m and at its amplitude, with zero phase: nothing but geometry is between."""
+    scene = SCENES[case]
+    known = write(tmp_path / "a.cphd", scene)
+    echoes = pysas.load(tmp_path / "a.cphd")
+    assert isinstance(echoes, pysas.Echoes) and echoes.compressed and echoes.data.dtype.newbyteorder("=") == np.complex64
+    # axes of a surface of constant height come from differences: 1e-10 rad at 10 km
+    assert np.abs(echoes.tx - known["tx"]).max() < (5e-6 if scene.surface == "HAE" else 1e-8)
+    assert np.abs(echoes.rx - known["rx"]).max() < (5e-6 if scene.surface == "HAE" else 1e-8)
+    assert echoes.velocity is not None and np.abs(echoes.velocity - known["velocity"]).max() < 1e-6
+    assert np.array_equal(echoes.ping_time, known["time"])
+    point, pixel = scene.points[0], 0.2
+    grid = pysas.Grid.plane(point[0] + pixel * np.arange(-12, 13), point[1] + pixel * np.arange(-12, 13), point[2])
+    image = pysas.backproject(echoes, grid, tol=1e-4)
+    found = pysas.metrics.peak_position(image, near=point[:2], radius=1.0)
+    # rounding to whole numbers is noise: 1/4 of a unit in 1/sqrt(pings x samples)
+    noise = 0.0 if scene.form == "CF8" else 0.3 / UNIT[scene.form] / np.sqrt(scene.pings * scene.count)
+    assert np.abs(np.array(found[:2]) - point[:2]).max() < 1e-3 * pixel + 3 * noise
+    value, _ = pysas.reference.exact(echoes, pysas.Grid.points([point]))
+    expected = 2.0 * UNIT[scene.form]
+    # the oracle extends traces by zeros where true ones are periodic: 1e-5
+    assert abs(value[0] / scene.pings / expected - 1) < 1e-5 + 4 * noise
+
+
+def test_points_of_a_scene(tmp_path: Path) -> None:
+    """Off the plane too, with their phases; the matched sum written out is the expected value."""
+    points, amplitudes = ((0.0, 0.0, 0.0), (8.0, 5.0, 3.0), (-7.0, 9.0, -2.0)), (1.0, 0.5j, -0.8)
+    scene = Pass(points=points, amplitudes=amplitudes, bistatic=True)
+    known = write(tmp_path / "a.cphd", scene)
+    echoes = pysas.load_echoes(tmp_path / "a.cphd")
+    where = np.array([*points, (2.0, 3.0, 0.0)])
+    found, _ = pysas.reference.exact(echoes, pysas.Grid.points(where))
+    tracks = known["tx"], known["rx"], known["velocity"]
+    zero = radar_scenes.late(*tracks, np.zeros(3))
+    for value, place in zip(found, where, strict=True):
+        turns = known["fx"] * (radar_scenes.late(*tracks, place) - zero)[:, None]
+        expected = np.vdot(np.exp(-2j * np.pi * (turns % 1).astype(float)), known["signal"]) / scene.count
+        assert abs(value - expected) < 2e-5 * scene.pings
+
+
+@pytest.mark.parametrize("case", ["FX, SGN -1", "bistatic", "TOA, SGN -1", "version 1.0.1", "constant height", "agile"])
+def test_sarkit_s_checker_accepts_the_scenes(case: str, tmp_path: Path) -> None:
+    write(tmp_path / "a.cphd", SCENES[case])
+    with (tmp_path / "a.cphd").open("rb") as file:
+        checker = CphdConsistency.from_file(file, thorough=True)
+        checker.check()
+        failed = checker.failures(omit_passed_sub=True)
+    wrong = [name for name, part in failed.items() if any(detail["severity"] == "Error" for detail in part["details"])]
+    assert wrong == [] and len(checker.passes()) > 50
+
+
+def test_what_is_kept(tmp_path: Path) -> None:
+    known = write(tmp_path / "a.cphd", SCENES["bistatic"])
+    echoes = pysas.load_echoes(tmp_path / "a.cphd")
+    origin, axes = np.array(echoes.attrs["ecef"]["origin"]), np.array(echoes.attrs["ecef"]["axes"])
+    assert np.abs(echoes.tx @ axes + origin - known["vectors"]["TxPos"]).max() < 1e-8
+    assert echoes.attrs["scene_area"] == {"x": [-15.0, 17.0], "y": [-16.0, 18.0], "z": 0.0}
+    assert "<CollectType>BISTATIC</CollectType>" in echoes.attrs["cphd"]
+    assert echoes.attrs["title"] == "a pass over points" and echoes.attrs["source"] == "CPHD 1.1.0, channel HH"
+    pysas.save(tmp_path / "a.npz", echoes)
+    assert pysas.load_echoes(tmp_path / "a.npz").attrs == echoes.attrs
+
+
+def test_the_command_line_images_the_file_s_own_area(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "a.cphd", SCENES["FX, SGN -1"])
+    assert pysas.cli.main(["image", str(tmp_path / "a.cphd"), "-o", str(tmp_path / "i.npz"), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["grid"].startswith("the file's scene, every")
+    image = pysas.load_image(tmp_path / "i.npz")
+    for axis, (low, high) in zip("xy", ((-15, 17), (-16, 18)), strict=True):
+        values = image.grid.axes[axis]
+        assert low < values[0] and values[-1] < high and values[-1] - values[0] > high - low - 1
+    assert not image.grid.turned and image.grid.height == 0
+    peak = np.unravel_index(np.abs(image.data).argmax(), image.data.shape)
+    assert abs(image.grid.axes["x"][peak[1]] - 6) < 0.5 and abs(image.grid.axes["y"][peak[0]] + 9) < 0.5
+
+
+def test_channels_are_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "a.cphd"
+    write(path, Pass(channels=("HH", "it's")))
+    with pytest.raises(ValueError, match=re.escape(f"{path}: channel: found 2, 'HH', \"it's\": expected one")):
+        pysas.load(path)
+    with pytest.raises(ValueError, match=re.escape(f"{path}: channel='VV': expected one of 'HH', \"it's\"")):
+        pysas.load(path, channel="VV")
+    assert pysas.load_echoes(path, channel="it's").attrs["source"] == "CPHD 1.1.0, channel it's"
+
+
+def test_vectors_without_a_signal_are_left_out_and_said(tmp_path: Path) -> None:
+    """Their places may be undefined."""
+    known = write(tmp_path / "a.cphd", Pass(invalid=(0, 7)))
+    with pytest.warns(UserWarning, match="2 of 60 vectors hold no signal and are left out"):
+        echoes = pysas.load_echoes(tmp_path / "a.cphd")
+    assert np.abs(echoes.tx - np.delete(known["tx"], (0, 7), axis=0)).max() < 1e-8
+
+
+def change(old: str, new: str) -> Any:
+    def changed(text: str) -> str:
+        assert text.count(old) >= 1, old
+        return text.replace(old, new, 1)
+
+    return changed
+
+
+WRONG: dict[str, tuple[str, str, str]] = {
+    "schema": ("<SGN>-1</SGN>", "<SGN>-2</SGN>", "XML: line"),
+    "more vectors": ("<NumVectors>60<", "<NumVectors>61<", "61 vectors of"),
+    "more than there can be": ("<NumVectors>60<", "<NumVectors>600000000<", "600000000 vectors of"),
+    "more samples": ("<NumSamples>100<", "<NumSamples>101<", "60 x 101 samples"),
+    "other samples": ("<SignalArrayFormat>CF8<", "<SignalArrayFormat>CI4<", ""),
+    "overlap": ("<Offset>4</Offset>", "<Offset>3</Offset>", "XML: PVP/TxVel: begins inside TxPos"),
+    "beyond a vector": ("<Offset>26</Offset>", "<Offset>99</Offset>", "XML: PVP/SCSS: ends at byte 800 of"),
+    "places apart": ("<HAE>1650.0<", "<HAE>1750.0<", "its Earth-fixed and geodetic coordinates are 100 m apart"),
+    "area": ("<X>-15.0<", "<X>25.0<", "ImageArea"),
+}
+
+
+@pytest.mark.parametrize("case", [name for name in WRONG if name != "other samples"])
+def test_metadata_that_lie_are_refused(case: str, tmp_path: Path) -> None:
+    old, new, message = WRONG[case]
+    path = tmp_path / "a.cphd"
+    write(path, Pass())
+    content = path.read_bytes()
+    assert content.count(old.encode()) >= 1
+    # of the same length: a header that agrees
+    start = content.index(b"<CPHD")
+    end = content.index(b"</CPHD>") + 7
+    body = content[start:end].replace(old.encode(), new.encode(), 1)
+    head = re.sub(rb"XML_BLOCK_SIZE := \d+", b"XML_BLOCK_SIZE := %d" % len(body), content[:start])
+    grown = len(body) - (end - start)
+    assert grown < 16  # within what lies between blocks, or moved below
+    moved = re.sub(
+        rb"(PVP|SIGNAL)_BLOCK_BYTE_OFFSET := (\d+)", lambda m: b"%s_BLOCK_BYTE_OFFSET := %d" % (m[1], int(m[2]) + 64), head
+    )
+    path.write_bytes(moved + body + bytes(64 - grown) + content[end:])
+    with pytest.raises(ValueError, match=re.escape(f"{path}: ") + ".*" + message):
+        pysas.load(path)
+
+
+def test_entities_and_document_types_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.cphd"
+    write(path, Pass())
+    content = path.read_bytes()
+    levels = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+    for kind in (f'<!DOCTYPE CPHD [<!ENTITY a0 "x">{levels}]>', '<!DOCTYPE CPHD SYSTEM "file:///etc/passwd">'):
+        body = (kind + content[content.index(b"<CPHD") : content.index(b"</CPHD>") + 7].decode()).replace("a pass", "&a11;")
+        head = f"CPHD/1.1.0\nXML_BLOCK_SIZE := {len(body)}\nXML_BLOCK_BYTE_OFFSET := 512\nPVP_BLOCK_SIZE := 0\n"
+        head += "PVP_BLOCK_BYTE_OFFSET := 0\nSIGNAL_BLOCK_SIZE := 0\nSIGNAL_BLOCK_BYTE_OFFSET := 0\n\f\n"
+        path.write_bytes(head.encode().ljust(512) + body.encode())
+        with pytest.raises(ValueError, match=re.escape(f"{path}: XML: ")):
+            pysas.load(path)
+
+
+HEADERS = {
+    "another version": (rb"CPHD/1\.1\.0", b"CPHD/0.3.0", "expected CPHD/1.0.1 or CPHD/1.1.0"),
+    "no end": (rb"\f", b" ", "header: expected its end"),
+    "no number": (rb"XML_BLOCK_SIZE := \d+", b"XML_BLOCK_SIZE := -1", "header: XML_BLOCK_SIZE: found b'-1'"),
+    "beyond the file": (rb"SIGNAL_BLOCK_SIZE := \d+", b"SIGNAL_BLOCK_SIZE := 999999999999999", "SIGNAL block: ends at byte 9"),
+    "missing": (rb"PVP_BLOCK_SIZE", b"PVQ_BLOCK_SIZE", "header: PVP_BLOCK_SIZE: found b''"),
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_headers_that_lie_are_refused(case: str, tmp_path: Path) -> None:
+    pattern, new, message = HEADERS[case]
+    path = tmp_path / "a.cphd"
+    write(path, Pass())
+    path.write_bytes(re.sub(pattern, new, path.read_bytes(), count=1))
+    with pytest.raises(ValueError, match=re.escape(f"{path}: ") + message):
+        pysas.load(path)
+
+
+def test_the_format_is_known_by_its_content(tmp_path: Path) -> None:
+    write(tmp_path / "a.npz", Pass())
+    found = catalogue.recognised(Look(tmp_path / "a.npz"))
+    assert found is not None and found.name == "cphd"
+
+
+MUTATE = """
+import json, sys, warnings
+from pathlib import Path
+import numpy as np
+import pysas
+
+source, count, folder = Path(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
+spans = json.loads(sys.argv[4])  # bytes that hold values without a checksum
+original, good = source.read_bytes(), pysas.load(source)
+rng = np.random.default_rng(5)
+FREE = ("title", "source", "cphd", "sicd")
+
+def values(item):
+    found = {}
+    for name, value in vars(item).items():
+        if hasattr(value, "__dataclass_fields__"):
+            found |= {f"{name}.{key}": part for key, part in values(value).items()}
+        elif isinstance(value, dict):
+            found |= {f"{name}.{key}": json.dumps(part) for key, part in value.items() if key not in FREE}
+        elif value is not None:
+            found[name] = np.asarray(value)
+    return found
+
+places = [place for place in range(len(original)) if not any(low <= place < high for low, high in spans)]
+outcome = {"refused": 0, "same": 0, "wrong": [], "payload": 0}
+wanted = values(good)
+for number in range(count):
+    kind = ("flip", "flip", "burst", "cut", "swap", "zeros", "ones", "out", "in", "payload")[number % 10]
+    raw, start = bytearray(original), int(rng.choice(places))
+    if kind == "flip":
+        raw[start] ^= 1 << rng.integers(8)
+    elif kind == "burst":
+        for place in [p for p in range(start, start + 1 + rng.integers(16)) if p in places]:
+            raw[place] = rng.integers(256)
+    elif kind == "cut":
+        del raw[rng.integers(len(raw)):]
+    elif kind == "swap":
+        words = json.loads(sys.argv[5])
+        old, new = words[rng.integers(len(words))]
+        raw = bytearray(original.replace(old.encode(), new.encode(), 1))
+    elif kind in ("zeros", "ones"):
+        for place in [p for p in range(start, start + rng.integers(1, 64)) if p in places]:
+            raw[place] = 0 if kind == "zeros" else 255
+    elif kind == "out":
+        del raw[start:start + rng.integers(1, 2000)]
+    elif kind == "in":
+        raw[start:start] = rng.bytes(rng.integers(1, 100))
+    elif kind == "payload":
+        low, high = spans[rng.integers(len(spans))]
+        raw[rng.integers(low, high)] ^= 1 << rng.integers(8)
+    path = folder / f"mutated{source.suffix}"
+    path.write_bytes(raw)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = values(pysas.load(path))
+    except (ValueError, OSError) as error:
+        outcome["refused"] += 1
+        assert str(path) in str(error), repr(error)
+        continue
+    if kind == "payload":
+        outcome["payload"] += 1
+    elif found.keys() == wanted.keys() and all(np.array_equal(found[key], wanted[key]) for key in wanted):
+        outcome["same"] += 1
+    else:
+        changed = [key for key in found if not np.array_equal(found[key], wanted.get(key))]
+        outcome["wrong"].append([number, kind, bytes(raw[start - 30:start + 40]).decode("latin1"), changed])
+print(json.dumps(outcome))
+"""
+
+
+def test_mutated_copies_are_refused_or_hold_the_same(tmp_path: Path) -> None:
+    """In a subprocess: a crash is a failure here too. Samples and vectors have no checksum: of these only a crash tells."""
+    source = tmp_path / "source.cphd"
+    write(source, Pass(pings=20, count=32))
+    content = source.read_bytes()
+    number = {key: int(value) for key, value in re.findall(rb"(\w+) := (\d+)", content[:600])}
+    spans = [[number[b"%s_BLOCK_BYTE_OFFSET" % name], number[b"%s_BLOCK_SIZE" % name]] for name in (b"PVP", b"SIGNAL")]
+    spans = [[start, start + size] for start, size in spans]
+    words = [["CF8", "CI4"], ["CF8", "CI2"], ["<Format>F8<", "<Format>I8<"], ["<Format>F8<", "<Format>F4<"], ["X=F8", "X=I8"]]
+    arguments = [str(source), "200", str(tmp_path), json.dumps(spans), json.dumps(words)]
+    command = [sys.executable, "-c", textwrap.dedent(MUTATE), *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    outcome = json.loads(run.stdout)
+    assert outcome["wrong"] == []
+    assert outcome["refused"] >= 80
