@@ -28,9 +28,9 @@ constexpr Costs known[] = {
      8, {{1, 1.0}, {2, 2.2}, {all, 6.5}, {all, 6.5}},
      {0.9, 4.0, {1.5, 0.6}, {6.5, 0.7}}},
     {"baseline",
-     3.7, 0.4, 45.0, 18.0, 1.4,
+     1.5, 0.25, 25.0, 10.5, 1.1,
      8, {{all, 1.0}, {all, 1.0}, {all, 1.0}, {all, 1.0}},
-     {4.8, 15.0, {8.0, 1.8}, {15.0, 1.7}}},
+     {1.7, 7.5, {8.0, 1.8}, {15.0, 1.7}}},
     // not measured: avx2's by the instructions that a sum's terms and coefficients take beside that one's, with
     // look-ups in more than two registers counted twice: docs/performance.md
     {"neon",
