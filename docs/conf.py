@@ -81,7 +81,12 @@ linkcheck_timeout = 15
 def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """Docstrings are written for a terminal: a bar is a magnitude's there, and no substitution of reStructuredText."""
     for number, line in enumerate(lines):
-        lines[number] = re.sub(r"(?<!\\)\|", r"\\|", line)
+        lines[number] = re.sub(r"`?docs/([\w-]+)\.md`?", r":doc:`/\1`", re.sub(r"(?<!\\)\|", r"\\|", line))
+
+
+def pages_linked(app: Sphinx, page: str, text: list[str]) -> None:
+    """Pages name each other as files of the tree, `docs/motion.md`: on the site that is a link."""
+    text[0] = re.sub(r"`docs/([\w-]+)\.md`", r"[`docs/\1.md`](/\1.md)", text[0])
 
 
 def plain_default(app: Sphinx, what: str, name: str, obj: object, options: object, text: str | None, back: object) -> object:
@@ -116,6 +121,7 @@ def nothing_missing(app: Sphinx, env: BuildEnvironment) -> None:
 
 def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", plain_text, priority=1)
+    app.connect("source-read", pages_linked)
     app.connect("autodoc-process-signature", plain_default)
     app.add_role_to_domain("py", "name", Name())
     app.connect("missing-reference", named)
