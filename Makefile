@@ -102,6 +102,7 @@ bench-check:
 docs:
 	rm -rf docs/reference/names docs/gallery
 	sphinx-build -q -W --keep-going -n -j auto -d build/doctrees -b html docs build/docs
+	$(PYTHON) docs/links.py build/docs
 
 # links out of the site, which need the internet
 docs-links:
