@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import struct
 import subprocess
 import sys
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import pytest
+import scipy.io
 from test_io import images, survey
 
+import pysas
 from pysas.formats import catalogue
 
 pytestmark = pytest.mark.reference  # no engine takes part
 
-pytest.importorskip("netCDF4")
+netCDF4 = pytest.importorskip("netCDF4")
 pytest.importorskip("zarr")
 pytest.importorskip("xarray")
 
@@ -92,6 +97,34 @@ for source in sorted(folder.glob("source*")):
             outcome["wrong"].append([number, kind])
 print(json.dumps(outcomes))
 """
+
+
+def test_no_memory_is_taken_for_what_a_file_only_claims(tmp_path: Path) -> None:
+    """2^30 pixels, 8 GiB, in files of some kilobytes: a shape that is written over, and chunks that were never written."""
+    image = images()["masked plane"]
+    plain, packed, empty = (tmp_path / name for name in ("plain.mat", "packed.mat", "empty.nc"))
+    scipy.io.savemat(plain, {"schema": "pysas-image-1", "grid_kind": "plane", "data": image.data})
+    raw = bytearray(plain.read_bytes())
+    at = raw.index(struct.pack("<II", 5, 8) + struct.pack("<ii", *image.data.shape)) + 8
+    raw[at : at + 8] = struct.pack("<ii", 2**15, 2**15)
+    plain.write_bytes(raw)
+    start = raw.rindex(struct.pack("<I", 14), 0, at)  # the last variable, compressed, with 2 MiB of zeros behind it
+    content = zlib.compress(bytes(raw[start:]) + bytes(2**21))
+    packed.write_bytes(raw[:start] + struct.pack("<II", 15, len(content)) + content)
+    catalogue.by_name(str(empty), type(image)).write(str(empty), image, False)
+    with netCDF4.Dataset(empty, "a") as file:
+        file.renameVariable("real", "was")
+        file.createDimension("long", 2**15)
+        file.createVariable("long", "i1", ("long",))[:] = 0  # a dimension without numbers is refused before
+        file.createVariable("real", "f8", ("long", "long"), zlib=True, chunksizes=(64, 64))
+    tracemalloc.start()
+    shape = r"data: found shape \(32768, 32768\) in \d+ bytes"
+    for path, said in ((plain, shape), (packed, shape), (empty, "real: found 8589934592 bytes declared and 0 stored")):
+        with pytest.raises(ValueError, match=rf"{path.name}: {said}"):
+            pysas.load(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 30e6
 
 
 def test_mutated_copies_are_refused_or_hold_the_same(tmp_path: Path) -> None:

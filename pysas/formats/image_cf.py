@@ -209,5 +209,5 @@ FORMAT = Format(
     read=_read,
     write=_write,
     writes=(Image,),
-    extra="survey",
+    extra="survey,hdf5",
 )

@@ -68,7 +68,7 @@ def _fitting(found: tuple[int, ...], shapes: list[str], sizes: dict[str, int]) -
 
 
 def _sniff(look: Look) -> bool:
-    return matlab.is_mat(look.head) and "schema" in look.entries
+    return matlab.is_mat(look.head) and ("schema" in look.entries or not look.entries)  # none: reading tells what is wrong
 
 
 def _read(path: str, channel: str | None) -> Item:
