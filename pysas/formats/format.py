@@ -45,13 +45,12 @@ class Look:
 
     @cached_property
     def entries(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-        """Shape and type of the arrays of an .npz, .h5, .zarr or .mat by their names; none where they cannot be told."""
+        """Shape and type of the arrays of an .npz, .h5, .mat or .zarr by their names; none where they cannot be told."""
         with contextlib.suppress(Exception):
-            if matlab.is_mat(self.head):
-                with files.opened(self.path) as file:
-                    return {name: (found.shape, found.dtype) for name, found in matlab.variables(file).items()}
-        with contextlib.suppress(Exception), io.opened(self.path) as file:
-            return dict(file.fields)
+            if self.suffix == ".mat":
+                return matlab.Variables(self.path).fields
+            with io.opened(self.path) as file:
+                return dict(file.fields)
         return {}
 
 

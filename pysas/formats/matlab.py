@@ -6,20 +6,18 @@ does not exist (SciPy 1.17). Here nothing is expanded beyond what a variable may
 
 from __future__ import annotations
 
-import io
 import itertools
 import math
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from pysas._checks import FloatArray
 from pysas.formats import files
-from pysas.formats.fields import Array, blamed
+from pysas.formats.fields import Array, File, allocated, blamed
 
 _HEADER, _VERSION = 128, 0x0100
 _MATRIX, _COMPRESSED = 14, 15
@@ -75,94 +73,70 @@ def is_mat(head: bytes) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class Variable:
-    """A variable of an open file: what it declares, found to be possible for its bytes.
+class Variables(File):
+    """The variables of a .mat file as named arrays: numbers of any shape, text, and what is neither as fields of objects.
 
-    Attributes
-    ----------
-    shape : tuple of int
-        As MATLAB shows it: of two axes or more.
-    dtype : numpy.dtype
-        Complex where it is, bool of logical ones, "U" of text, object of what holds no numbers.
+    Shapes are MATLAB's, of two axes or more, those of text (). Errors are ValueErrors without the file's name. Takes the memory
+    of the file; a compressed variable is expanded when it is read, and its Adler-32 compared.
     """
 
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    _file: IO[bytes]
-    _order: str
-    _place: tuple[int, int, int]  # type, offset and size of its element
-
-    def read(self) -> Array:
-        """Its entries, the first index fastest; text as one string.
-
-        Raises ValueError for what holds no numbers, or where bytes are damaged: a compressed one carries Adler-32.
-        """
-        if self.dtype.hasobject:
-            raise ValueError("found a cell, a struct or the like, expected numbers or text")
-        count, two = math.prod(self.shape), self.dtype.kind == "c"
-        kind, offset, size = self._place
-        self._file.seek(offset)
-        element = memoryview(self._file.read(size))
-        if kind == _COMPRESSED:
-            element = _expanded(element, self._order, 2 * _HEAD + 8 * count * (1 + two))
-        parts = list(_elements(element, self._order))
-        if len(parts) != 4 + two:
-            raise ValueError(f"found {len(parts)} parts of a variable: expected {4 + two}")
-        if self.dtype.kind == "U":
-            return np.asarray(_letters(self.shape, self._order, *parts[3]))
-        real = np.dtype(f"f{self.dtype.itemsize // 2}") if two else self.dtype
-        array = np.empty(count, self.dtype)
-        for part, target in zip(parts[3:], (array.real, array.imag) if two else (array,), strict=True):
-            target[...] = _entries(part, self._order, count).astype(real, copy=False)
-        return array.reshape(self.shape, order="F")
-
-
-def variables(file: IO[bytes]) -> dict[str, Variable]:
-    """What a file holds, by names; read while it is open. ValueError, without the file's name, where it is damaged."""
-    size = file.seek(0, io.SEEK_END)
-    file.seek(0)
-    order = _order(file.read(_HEADER))
-    found: dict[str, Variable] = {}
-    at = _HEADER
-    while at < size:
-        file.seek(at)
-        kind, length = struct.unpack(f"{order}II", _all(file.read(8), 8))
-        if kind not in (_MATRIX, _COMPRESSED) or at + 8 + length > size:
-            raise ValueError(f"found an element of type {kind} and {length} bytes at {at} of {size}: expected a variable")
-        head = memoryview(file.read(min(length, _HEAD)))
+    def __init__(self, path: str) -> None:
+        with files.opened(path) as file:
+            content = file.read()
+        self.fields, self.pairs, self._followed = {}, {}, {}
+        self._order = _order(content[:_HEADER])
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        self._elements: dict[str, tuple[int, memoryview]] = {}
         try:
-            (_, flags), (_, shape), (_, title) = _parts(kind, head, order, 3, _HEAD)
-            name = bytes(title).decode("ascii")
-            if name in found:
-                raise ValueError(f"{name}: found twice, expected one variable of that name")
-            with blamed(name):
-                found[name] = Variable(*_declared(flags, shape, order, kind, length), file, order, (kind, at + 8, length))
+            for kind, element in _elements(memoryview(content)[_HEADER:], self._order):
+                if kind not in (_MATRIX, _COMPRESSED):
+                    raise ValueError(f"found an element of type {kind}: expected a variable")
+                (_, flags), (_, shape), (_, title) = _parts(kind, element, self._order, 3, _HEAD)
+                name = bytes(title).decode("ascii")
+                if name in self.fields:
+                    raise ValueError(f"{name}: found twice, expected one variable of that name")
+                with blamed(name):
+                    self._describe(name, flags, shape, kind, len(element))
+                self._elements[name] = kind, element
         except (struct.error, zlib.error) as error:
-            raise ValueError(f"found no variable at {at}: {error}") from None
-        at += 8 + length
-    return found
+            raise ValueError(f"found no variable after {', '.join(self.fields)}: {error}") from None
 
-
-def _declared(
-    flags: memoryview, shape: memoryview, order: str, kind: int, length: int
-) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    word = struct.unpack(f"{order}I", flags[:4])[0]
-    code, two = word & 0xFF, bool(word & _COMPLEX)
-    if code == _TEXT:
-        dtype: np.dtype[Any] = np.dtype("U")
-    elif code not in _NUMBERS:
-        return (0,), np.dtype(object)
-    else:
+    def _describe(self, name: str, flags: memoryview, shape: memoryview, kind: int, length: int) -> None:
+        word = struct.unpack(f"{self._order}I", flags[:4])[0]
+        code, two = word & 0xFF, bool(word & _COMPLEX)
+        if code not in _NUMBERS and code != _TEXT:
+            self.fields[name] = (0,), np.dtype(object)
+            return
+        lengths: tuple[int, ...] = tuple(np.frombuffer(shape, f"{self._order}i4").tolist())
+        most = length * (_MOST_EXPANSION if kind == _COMPRESSED else 1)
+        if len(lengths) < 2 or min(lengths) < 0 or math.prod(lengths) * (1 + two) > most:
+            raise ValueError(f"found shape {lengths} in {length} bytes: expected a whole .mat file")
+        self._shapes[name] = lengths
+        if code == _TEXT:
+            self.fields[name] = (), np.dtype("U")
+            return
         dtype = np.dtype("?") if word & _LOGICAL else np.dtype(_NUMBERS[code])
-        if two and dtype.kind != "f":
-            raise ValueError(f"found complex numbers of class {code}: expected double or single ones")
-        dtype = np.dtype(f"c{2 * dtype.itemsize}") if two else dtype
-    lengths: tuple[int, ...] = tuple(np.frombuffer(shape, f"{order}i4").tolist())
-    most = length * (_MOST_EXPANSION if kind == _COMPRESSED else 1)
-    if len(lengths) < 2 or min(lengths) < 0 or math.prod(lengths) * (1 + two) > most:
-        raise ValueError(f"found shape {lengths} in {length} bytes: expected a whole .mat file")
-    return lengths, dtype
+        self.fields[name] = lengths, np.result_type(dtype, np.complex64) if two else dtype
+
+    def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
+        """Entries lie as MATLAB's do, the first index fastest; `shape` may be another of as many."""
+        if dtype.hasobject:
+            raise ValueError(f"{name}: found a cell, a struct or the like, expected numbers or text")
+        kind, element = self._elements[name]
+        declared, two = self._shapes[name], dtype.kind == "c"
+        count = math.prod(declared)
+        with blamed(name):
+            if kind == _COMPRESSED:
+                element = _expanded(element, self._order, 2 * _HEAD + 8 * count * (1 + two))
+            parts = list(_elements(element, self._order))
+            if len(parts) != 4 + two:
+                raise ValueError(f"found {len(parts)} parts of a variable: expected {4 + two}")
+            if dtype.kind == "U":
+                return np.asarray(_letters(declared, self._order, *parts[3]))
+            array = allocated(name, (count,), dtype)
+            for part, target in zip(parts[3:], (array.real, array.imag) if two else (array,), strict=True):
+                target[...] = _entries(part, self._order, count)
+        return array.reshape(shape, order="F")
 
 
 def _order(head: bytes) -> str:
@@ -170,12 +144,6 @@ def _order(head: bytes) -> str:
     if order is None or struct.unpack(f"{order}H", head[124:126])[0] != _VERSION:
         raise ValueError("expected a .mat file of MATLAB's versions 5 to 7 (save -v7)")
     return order
-
-
-def _all(data: bytes, size: int) -> bytes:
-    if len(data) < size:
-        raise ValueError(f"found {len(data)} of {size} bytes: expected a whole .mat file")
-    return data
 
 
 def _expanded(element: memoryview, order: str, most: int) -> memoryview:

@@ -6,15 +6,13 @@ back. Of a single ping, what may be a number or one a ping is a number.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from pysas.formats import files, io, matlab
-from pysas.formats.fields import Array, File, blamed
+from pysas.formats.fields import Array
 from pysas.formats.format import Format, Item, Look
-from pysas.formats.matlab import Variable
 from pysas.model.echoes import Echoes
 from pysas.model.grid import KINDS
 from pysas.model.image import Image
@@ -22,18 +20,16 @@ from pysas.model.image import Image
 _MOST = 2**31 - 2**16  # bytes of a variable: offsets are of 32 bits, and MATLAB takes no more
 
 
-class _Variables(File):
-    """The variables of an open file as fields of a schema."""
+class _Variables(matlab.Variables):
+    """Variables as fields of a schema."""
 
-    def __init__(self, variables: Mapping[str, Variable]) -> None:
-        self._variables = variables
-        self.fields, self.pairs, self._followed = {}, {}, {}
-        for name, variable in variables.items():
-            self.fields[name] = ((), variable.dtype) if variable.dtype.kind == "U" else (variable.shape, variable.dtype)
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
         sizes: dict[str, int] = {}
         for name, (_, *shapes) in self._table().items():
-            if name in variables and variables[name].dtype.kind != "U":
-                self.fields[name] = _fitting(variables[name].shape, shapes, sizes), variables[name].dtype
+            if name in self.fields and self.fields[name][1].kind not in "UO":
+                shape, dtype = self.fields[name]
+                self.fields[name] = _fitting(shape, shapes, sizes), dtype
 
     def _table(self) -> dict[str, tuple[str, ...]]:
         """Shapes of fields, those first that tell the sizes of others."""
@@ -48,8 +44,7 @@ class _Variables(File):
         return {name: table[name] for name in ("rx", "data")} | table
 
     def _read(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-        with blamed(name):
-            return np.asarray(self._variables[name].read().reshape(shape, order="F"), order="C")
+        return np.asarray(super()._read(name, shape, dtype), order="C")
 
 
 def _fitting(found: tuple[int, ...], shapes: list[str], sizes: dict[str, int]) -> tuple[int, ...]:
@@ -74,8 +69,9 @@ def _sniff(look: Look) -> bool:
 def _read(path: str, channel: str | None) -> Item:
     if channel is not None:
         raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
-    with files.opened(path) as file, io.named(path):
-        return io.read(path, _Variables(matlab.variables(file)))
+    files.opened(path).close()  # what is not the file's fault
+    with io.named(path):
+        return io.read(path, _Variables(path))
 
 
 def _write(path: str, item: Echoes | Image, overwrite: bool) -> None:
