@@ -316,7 +316,8 @@ def test_the_page_s_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.chdir(tmp_path)
     image = dataclasses.replace(PLANES["straight"], data=PLANES["straight"].data + 9)  # whose level is a number everywhere
     written(Path("line.nc"), image)
-    (code,) = re.findall(r"```python\n(.*?)```", DOC.read_text(encoding="utf-8").split("### xarray")[1], re.DOTALL)
+    section = DOC.read_text(encoding="utf-8").split("### xarray")[1].split("\n## ")[0]
+    (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     names: dict[str, Any] = {}
     exec(code, names)
     names["data"].close()
