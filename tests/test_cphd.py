@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import pysas
+from pysas import cli
 from pysas.formats import catalogue
 from pysas.formats.format import Look
 
@@ -107,7 +108,7 @@ def test_what_is_kept(tmp_path: Path) -> None:
 
 def test_the_command_line_images_the_file_s_own_area(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(tmp_path / "a.cphd", SCENES["FX, SGN -1"])
-    assert pysas.cli.main(["image", str(tmp_path / "a.cphd"), "-o", str(tmp_path / "i.npz"), "--json"]) == 0
+    assert cli.main(["image", str(tmp_path / "a.cphd"), "-o", str(tmp_path / "i.npz"), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["grid"].startswith("the file's scene, every")
     image = pysas.load_image(tmp_path / "i.npz")
@@ -121,12 +122,12 @@ def test_the_command_line_images_the_file_s_own_area(tmp_path: Path, capsys: pyt
 
 def test_channels_are_chosen(tmp_path: Path) -> None:
     path = tmp_path / "a.cphd"
-    write(path, Pass(channels=("HH", "it's")))
-    with pytest.raises(ValueError, match=re.escape(f"{path}: channel: found 2, 'HH', \"it's\": expected one")):
+    write(path, Pass(channels=("HH", "VH")))
+    with pytest.raises(ValueError, match=re.escape(f"{path}: channel: found 2, 'HH', 'VH': expected one")):
         pysas.load(path)
-    with pytest.raises(ValueError, match=re.escape(f"{path}: channel='VV': expected one of 'HH', \"it's\"")):
+    with pytest.raises(ValueError, match=re.escape(f"{path}: channel='VV': expected one of 'HH', 'VH'")):
         pysas.load(path, channel="VV")
-    assert pysas.load_echoes(path, channel="it's").attrs["source"] == "CPHD 1.1.0, channel it's"
+    assert pysas.load_echoes(path, channel="VH").attrs["source"] == "CPHD 1.1.0, channel VH"
 
 
 def test_vectors_without_a_signal_are_left_out_and_said(tmp_path: Path) -> None:
@@ -147,10 +148,10 @@ def change(old: str, new: str) -> Any:
 
 WRONG: dict[str, tuple[str, str, str]] = {
     "schema": ("<SGN>-1</SGN>", "<SGN>-2</SGN>", "XML: line"),
-    "more vectors": ("<NumVectors>60<", "<NumVectors>61<", "61 vectors of"),
-    "more than there can be": ("<NumVectors>60<", "<NumVectors>600000000<", "600000000 vectors of"),
-    "more samples": ("<NumSamples>100<", "<NumSamples>101<", "60 x 101 samples"),
-    "other samples": ("<SignalArrayFormat>CF8<", "<SignalArrayFormat>CI4<", ""),
+    "more vectors": ("<NumVectors>60<", "<NumVectors>61<", "XML: Data/Channel: PVP arrays end at"),
+    "more than there can be": ("<NumVectors>60<", "<NumVectors>600000000<", "XML: Data/Channel: PVP arrays end at"),
+    "more samples": ("<NumSamples>100<", "<NumSamples>101<", "XML: Data/Channel: Signal arrays end at"),
+    "other samples": ("<SignalArrayFormat>CF8<", "<SignalArrayFormat>CI4<", "XML: Data/Channel: Signal arrays end at"),
     "overlap": ("<Offset>4</Offset>", "<Offset>3</Offset>", "XML: PVP/TxVel: begins inside TxPos"),
     "beyond a vector": ("<Offset>26</Offset>", "<Offset>99</Offset>", "XML: PVP/SCSS: ends at byte 800 of"),
     "places apart": ("<HAE>1650.0<", "<HAE>1750.0<", "its Earth-fixed and geodetic coordinates are 100 m apart"),
@@ -158,7 +159,7 @@ WRONG: dict[str, tuple[str, str, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", [name for name in WRONG if name != "other samples"])
+@pytest.mark.parametrize("case", WRONG)
 def test_metadata_that_lie_are_refused(case: str, tmp_path: Path) -> None:
     old, new, message = WRONG[case]
     path = tmp_path / "a.cphd"
@@ -195,10 +196,14 @@ def test_entities_and_document_types_are_refused(tmp_path: Path) -> None:
 
 
 HEADERS = {
-    "another version": (rb"CPHD/1\.1\.0", b"CPHD/0.3.0", "expected CPHD/1.0.1 or CPHD/1.1.0"),
-    "no end": (rb"\f", b" ", "header: expected its end"),
+    "another version": (rb"CPHD/1\.1\.0", b"CPHD/0.3.0", "found b'CPHD/0.3.0': expected CPHD/1.0.1 or CPHD/1.1.0"),
+    "no end": (rb"\f", b" ", "header: expected "),
     "no number": (rb"XML_BLOCK_SIZE := \d+", b"XML_BLOCK_SIZE := -1", "header: XML_BLOCK_SIZE: found b'-1'"),
-    "beyond the file": (rb"SIGNAL_BLOCK_SIZE := \d+", b"SIGNAL_BLOCK_SIZE := 999999999999999", "SIGNAL block: ends at byte 9"),
+    "beyond the file": (
+        rb"SIGNAL_BLOCK_SIZE := \d+",
+        b"SIGNAL_BLOCK_SIZE := 999999999999999",
+        "SIGNAL block: ends at byte 10000",
+    ),
     "missing": (rb"PVP_BLOCK_SIZE", b"PVQ_BLOCK_SIZE", "header: PVP_BLOCK_SIZE: found b''"),
 }
 
@@ -232,15 +237,27 @@ rng = np.random.default_rng(5)
 FREE = ("title", "source", "cphd", "sicd")
 
 def values(item):
+    """What matters; places in Earth-fixed coordinates, as the axes on which they lie may be turned by less than is checked."""
     found = {}
+    frame = getattr(item, "attrs", {}).get("ecef")
+    if frame is not None:
+        axes, origin = np.array(frame["axes"]), np.array(frame["origin"])
+        turned = {"tx": item.tx @ axes + origin, "rx": item.rx @ axes + origin, "velocity": item.velocity @ axes}
+        attrs = {name: value for name, value in item.attrs.items() if name != "ecef"}
+        item = item.replace(**turned, attrs=attrs)
     for name, value in vars(item).items():
         if hasattr(value, "__dataclass_fields__"):
             found |= {f"{name}.{key}": part for key, part in values(value).items()}
         elif isinstance(value, dict):
-            found |= {f"{name}.{key}": json.dumps(part) for key, part in value.items() if key not in FREE}
+            found |= {f"{name}.{key}": np.array(json.dumps(part)) for key, part in value.items() if key not in FREE}
         elif value is not None:
             found[name] = np.asarray(value)
     return found
+
+def alike(a, b):
+    if a.dtype.kind not in "fc":
+        return np.array_equal(a, b)
+    return a.shape == b.shape and a.dtype == b.dtype and np.abs(a - b).max() <= 16 * np.finfo(a.dtype).eps * np.abs(a).max()
 
 places = [place for place in range(len(original)) if not any(low <= place < high for low, high in spans)]
 outcome = {"refused": 0, "same": 0, "wrong": [], "payload": 0}
@@ -281,10 +298,10 @@ for number in range(count):
         continue
     if kind == "payload":
         outcome["payload"] += 1
-    elif found.keys() == wanted.keys() and all(np.array_equal(found[key], wanted[key]) for key in wanted):
+    elif found.keys() == wanted.keys() and all(alike(found[key], wanted[key]) for key in wanted):
         outcome["same"] += 1
     else:
-        changed = [key for key in found if not np.array_equal(found[key], wanted.get(key))]
+        changed = [key for key in found if key not in wanted or not alike(found[key], wanted[key])]
         outcome["wrong"].append([number, kind, bytes(raw[start - 30:start + 40]).decode("latin1"), changed])
 print(json.dumps(outcome))
 """

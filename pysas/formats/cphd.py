@@ -60,7 +60,10 @@ def _blocks(file: IO[bytes]) -> dict[str, tuple[int, int]]:
     text, end, _ = rest.partition(b"\f\n")
     if not end:
         raise ValueError(f"header: expected its end within {_HEADER} bytes")
-    values = dict(part.split(b" := ", 1) for part in text.split(b"\n") if b" := " in part)
+    fields = [part.partition(b" := ") for part in text.split(b"\n") if part]
+    values = {name: value for name, _, value in fields}
+    if len(values) != len(fields) or not all(middle for _, middle, _ in fields):
+        raise ValueError("header: expected lines of NAME := VALUE, each name once")
     size = os.fstat(file.fileno()).st_size
     found = {}
     for name in _BLOCKS:
@@ -129,14 +132,23 @@ def _vectors(file: IO[bytes], meta: Metadata, channel: Any, block: tuple[int, in
         if name in kinds and kinds[name][0] != np.dtype(wanted):
             raise ValueError(f"XML: PVP/{name}: expected {'F8' if wanted == '>f8' else 'I8'}")
     start = meta.whole("PVPArrayByteOffset", channel)
-    if start + count * size > block[1]:
-        raise ValueError(f"XML: {count} vectors of {size} bytes from byte {start}: expected at most the PVP block's {block[1]}")
+    _require_full(meta, block[1], "PVP", size)
     used: dict[str, tuple[np.dtype[Any], int]] = {name: kinds[name] for name in (*_NEEDED, "AmpSF", "SIGNAL") if name in kinds}
     names = list(used)
     formats, offsets = [kind for kind, _ in used.values()], [offset for _, offset in used.values()]
     layout: np.dtype[Any] = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
     vectors: npt.NDArray[Any] = np.frombuffer(_bytes(file, block[0] + start, count * size), layout)
     return vectors
+
+
+def _require_full(meta: Metadata, size: int, what: str, each: int) -> None:
+    """Raise where the arrays of all channels, of `each` bytes a vector or a sample, do not fill a block of `size` bytes."""
+    end = 0
+    for element in meta.all("Data/Channel"):
+        count = meta.whole("NumVectors", element, 1) * (1 if what == "PVP" else meta.whole("NumSamples", element, 1))
+        end = max(end, meta.whole(f"{what}ArrayByteOffset", element) + count * each)
+    if end != size:
+        raise ValueError(f"XML: Data/Channel: {what} arrays end at byte {end} of a block of {size}")
 
 
 def _kind(form: str) -> np.dtype[Any] | None:
@@ -166,10 +178,7 @@ def _samples(file: IO[bytes], meta: Metadata, channel: Any, block: tuple[int, in
     start = meta.whole("SignalArrayByteOffset", channel)
     parts = 1 if kind.kind == "c" else 2
     size = rows * columns * parts * kind.itemsize
-    if start + size > block[1]:
-        raise ValueError(
-            f"XML: {rows} x {columns} samples from byte {start}: expected at most the signal block's {block[1]} bytes"
-        )
+    _require_full(meta, block[1], "Signal", parts * kind.itemsize)
     samples: npt.NDArray[Any] = np.frombuffer(_bytes(file, block[0] + start, size), kind)
     return samples.reshape((rows, columns) if parts == 1 else (rows, columns, 2))
 
