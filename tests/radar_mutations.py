@@ -29,7 +29,7 @@ source, count, folder = Path(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3])
 spans = json.loads(sys.argv[4])  # bytes that hold values without a checksum
 original, good = source.read_bytes(), pysas.load(source)
 rng = np.random.default_rng(5)
-FREE = ("title", "source", "cphd", "sicd")
+FREE = ("title", "source", "cphd", "sicd", "af")  # attrs that no image depends on
 
 def values(item):
     # places in Earth-fixed coordinates: the axes on which they lie may be turned by less than is checked

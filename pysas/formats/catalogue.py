@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pysas.formats import cphd, image_cf, image_geotiff, image_png, matlab_files, own
+from pysas.formats import cphd, gotcha, image_cf, image_geotiff, image_png, matlab_files, own
 from pysas.formats.format import Format, Look
 
 # in the order in which they are asked whether a file is theirs
@@ -11,6 +11,7 @@ FORMATS: tuple[Format, ...] = (
     image_cf.FORMAT,
     own.FORMAT,
     cphd.FORMAT,
+    gotcha.FORMAT,
     image_geotiff.FORMAT,
     image_png.FORMAT,
 )
