@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pysas.formats import cphd, gotcha, image_cf, image_geotiff, image_png, matlab_files, own
+from pysas.formats import cphd, gotcha, image_cf, image_geotiff, image_png, matlab_files, own, sicd
 from pysas.formats.format import Format, Look
 
 # in the order in which they are asked whether a file is theirs
@@ -12,6 +12,7 @@ FORMATS: tuple[Format, ...] = (
     own.FORMAT,
     cphd.FORMAT,
     gotcha.FORMAT,
+    sicd.FORMAT,
     image_geotiff.FORMAT,
     image_png.FORMAT,
 )
