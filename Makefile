@@ -98,9 +98,9 @@ bench-check:
 	$(in_bench) -m bench.check
 
 # the site, from docs/, the docstrings and examples/gallery, all of which is run; a warning, a link within the site that leads
-# nowhere, or a public name that the reference lacks ends it. What a build writes beside its sources is made anew each time.
+# nowhere, or a public name that the reference lacks ends it. All of it is made anew.
 docs:
-	rm -rf docs/reference/names docs/gallery
+	rm -rf build/docs build/doctrees docs/reference/names docs/gallery
 	sphinx-build -q -W --keep-going -n -j auto -d build/doctrees -b html docs build/docs
 	$(PYTHON) docs/links.py build/docs
 

@@ -135,7 +135,8 @@ def listed() -> dict[str, list[str]]:
         for module, body in re.findall(r"\.\. currentmodule:: (\S+)\n(.*?)(?=^\.\. currentmodule|\Z)", text, re.M | re.S):
             for part in re.findall(r"\.\. autosummary::\n(?:   :.*\n)*\n((?:   \w+\n)+)", body):
                 found.setdefault(module, []).extend(NAME.findall(part))
-            found.setdefault(module, []).extend(re.findall(r"\.\. py:data:: (\w+)", body))
+        for module, name in re.findall(r"\.\. py:data:: (\S+)\.(\w+)", text):
+            found.setdefault(module, []).append(name)
     return found
 
 
