@@ -28,8 +28,9 @@ from pysas.model.image import Image, Report
 
 _OURS = "pysas-plane-1"  # the name of the parameter that keeps what only pysas knows
 _EVEN = 1e-6  # of a step, by which an axis may leave even spacing
-_SENSOR = np.array([0.0, -1000.0, 1000.0])  # of the stand-in track, m from the scene's centre
-_ALONG = np.array([100.0, 0.0, 0.0])  # m/s
+_SENSOR = np.array([-1000.0, 0.0, 1000.0])  # of the stand-in track, m along rows, columns and up from the scene's centre
+_ALONG = np.array([0.0, 100.0, 0.0])  # m/s
+_BAND = 0.8  # of what the pixels can hold: the spacings that pysas chooses
 _DURATION = 1.0  # s
 _SECURITY = {"clas": "U"}
 
@@ -110,7 +111,7 @@ def _described(image: Image, ecef: Mapping[str, Any] | None) -> tuple[Any, Compl
         return np.asarray(origin + np.array(local) @ turn)
 
     text = json.dumps(known, sort_keys=True)
-    return _tree(pixels.shape, middle, ecef_of, rows, columns, steps, turn, image.fc, text), pixels
+    return _tree(pixels.shape, middle, ecef_of, rows, columns, steps, image.fc, text), pixels
 
 
 def _placed(ecef: Mapping[str, Any] | None) -> tuple[FloatArray, FloatArray]:
@@ -131,7 +132,6 @@ def _tree(
     rows: FloatArray,
     columns: FloatArray,
     steps: list[float],
-    turn: FloatArray,
     fc: float,
     known: str,
 ) -> Any:
@@ -144,8 +144,8 @@ def _tree(
     def poly(values: list[float]) -> dict[str, Any]:
         return {"@order1": len(values) - 1, "Coef": [{"@exponent1": i, "": value} for i, value in enumerate(values)]}
 
-    def direction(unit: FloatArray, step: float) -> dict[str, Any]:  # the whole band that the pixels can hold
-        band = 1 / step
+    def direction(unit: FloatArray, step: float) -> dict[str, Any]:
+        band = _BAND / step
         return {
             "UVectECF": xyz(unit), "SS": step, "ImpRespWid": 0.8859 / band, "Sgn": -1, "ImpRespBW": band, "KCtr": 0.0,
             "DeltaK1": -band / 2, "DeltaK2": band / 2, "WgtType": {"WindowName": "UNIFORM"},
@@ -153,8 +153,9 @@ def _tree(
 
     scene = ecef_of(*middle)
     llh = wgs84.cartesian_to_geodetic(scene)
-    velocity = _ALONG @ turn
-    start = scene + _SENSOR @ turn - velocity * _DURATION / 2
+    own = np.stack([rows, columns, np.cross(rows, columns)])
+    velocity = _ALONG @ own
+    start = scene + _SENSOR @ own - velocity * _DURATION / 2
     last = (shape[0] - 1, shape[1] - 1)
     corners = [wgs84.cartesian_to_geodetic(ecef_of(*at)) for at in ((0, 0), (0, last[1]), last, (last[0], 0))]
     point = {"ECF": xyz(scene), "LLH": dict(zip(("Lat", "Lon", "HAE"), llh.tolist(), strict=True))}
