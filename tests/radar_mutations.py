@@ -44,7 +44,8 @@ def values(item):
         if hasattr(value, "__dataclass_fields__"):
             found |= {f"{name}.{key}": part for key, part in values(value).items()}
         elif isinstance(value, dict):
-            found |= {f"{name}.{key}": np.array(json.dumps(part, default=list)) for key, part in value.items() if key not in FREE}
+            kept = {key: json.dumps(part, default=list) for key, part in value.items() if key not in FREE}
+            found |= {f"{name}.{key}": np.array(part) for key, part in kept.items()}
         elif value is not None:
             found[name] = np.asarray(value)
     return found

@@ -27,7 +27,20 @@ EDGE = {"pysas", "pysas.loading", "pysas.plot", "pysas.__main__", "pysas.tracks"
 ALGORITHMS = MODULES.keys() - DATA_MODEL - TOOLS - EDGE
 ENGINE_SIDE = ("pysas.engine", "pysas.planning", "pysas.imaging")
 INDEPENDENT = ("pysas.reference", "pysas.circular")
-OPTIONAL = {"matplotlib", "h5py", "xarray", "finufft", "zarr", "dask", "distributed", "rasterio", "pyproj", "google_crc32c"}
+OPTIONAL = {
+    "matplotlib",
+    "h5py",
+    "xarray",
+    "finufft",
+    "zarr",
+    "dask",
+    "distributed",
+    "rasterio",
+    "pyproj",
+    "google_crc32c",
+    "sarkit",
+    "lxml",
+}
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
 PUBLIC_FUNCTIONS = {

@@ -57,8 +57,8 @@ def _blocks(file: IO[bytes]) -> dict[str, tuple[int, int]]:
     line, _, rest = head.partition(b"\n")
     if line not in (b"CPHD/1.0.1", b"CPHD/1.1.0"):
         raise ValueError(f"found {line[:30]!r}: expected CPHD/1.0.1 or CPHD/1.1.0")
-    text, end, _ = rest.partition(b"\f\n")
-    if not end:
+    text, terminator, _ = rest.partition(b"\f\n")
+    if not terminator:
         raise ValueError(f"header: expected its end within {_HEADER} bytes")
     fields = [part.partition(b" := ") for part in text.split(b"\n") if part]
     values = {name: value for name, _, value in fields}
@@ -66,7 +66,7 @@ def _blocks(file: IO[bytes]) -> dict[str, tuple[int, int]]:
         raise ValueError("header: expected lines of NAME := VALUE, each name once")
     size = os.fstat(file.fileno()).st_size
     found = {}
-    for name in _BLOCKS:
+    for name in (*_BLOCKS, "SUPPORT") if b"SUPPORT_BLOCK_SIZE" in values else _BLOCKS:
         numbers = []
         for field in (f"{name}_BLOCK_BYTE_OFFSET", f"{name}_BLOCK_SIZE"):
             value = values.get(field.encode(), b"").strip()
@@ -76,6 +76,9 @@ def _blocks(file: IO[bytes]) -> dict[str, tuple[int, int]]:
         if numbers[0] + numbers[1] > size:
             raise ValueError(f"{name} block: ends at byte {sum(numbers)} of a file of {size}: expected a whole file")
         found[name] = (numbers[0], numbers[1])
+    end = max(map(sum, found.values()))
+    if end != size:
+        raise ValueError(f"header: blocks end at byte {end} of a file of {size}: expected a whole file and nothing after it")
     spans = sorted(found.values())
     if any(first + length > second for (first, length), (second, _) in zip(spans[:-1], spans[1:], strict=True)):
         raise ValueError("header: expected blocks that do not overlap")

@@ -27,6 +27,7 @@ from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 
 _OURS = "pysas-plane-1"  # the name of the parameter that keeps what only pysas knows
+_CRC = f"{_OURS}-crc32"
 _EVEN = 1e-6  # of a step, by which an axis may leave even spacing
 _SENSOR = np.array([-1000.0, 0.0, 1000.0])  # of the stand-in track, m along rows, columns and up from the scene's centre
 _ALONG = np.array([0.0, 100.0, 0.0])  # m/s
@@ -164,7 +165,7 @@ def _tree(
         "CollectionInfo": {
             "CollectorName": "UNKNOWN", "CoreName": "UNKNOWN", "CollectType": "MONOSTATIC",
             "RadarMode": {"ModeType": "SPOTLIGHT"}, "Classification": "UNCLASSIFIED",
-            "Parameter": [{"@name": _OURS, "": known}, {"@name": f"{_OURS}-crc32", "": zlib.crc32(known.encode())}],
+            "Parameter": [{"@name": _OURS, "": known}, {"@name": _CRC, "": zlib.crc32(known.encode())}],
         },
         "ImageCreation": {"Application": "pysas"},
         "ImageData": {
@@ -297,7 +298,10 @@ def _amplitudes(meta: Metadata) -> npt.NDArray[np.float32]:
     table = meta.all("ImageData/AmpTable/Amplitude")
     values = np.arange(256, dtype=np.float32)
     for element in table:
-        values[int(element.get("index"))] = float(element.text)
+        index = int(element.get("index"))
+        if not 0 <= index < 256:
+            raise ValueError(f"XML: ImageData/AmpTable: found index {index}: expected 0 to 255")
+        values[index] = float(element.text)
     return values
 
 
@@ -305,8 +309,8 @@ def _image(meta: Metadata, pixels: ComplexArray) -> Image:
     steps = [meta.number(f"Grid/{name}/SS") for name in ("Row", "Col")]
     data = np.ascontiguousarray(pixels.T)
     known = {str(element.get("name")): str(element.text or "") for element in meta.all("CollectionInfo/Parameter")}
-    if _OURS in known:
-        return _ours(known[_OURS], known.get(f"{_OURS}-crc32"), steps, data)
+    if {_OURS, _CRC} & set(known):
+        return _ours(known.get(_OURS, ""), known.get(_CRC), steps, data)
     middle = [meta.whole(f"ImageData/SCPPixel/{name}") for name in ("Row", "Col")]
     first = [meta.whole(f"ImageData/First{name}") for name in ("Row", "Col")]
     x, y = (step * (np.arange(n) + low - at) for step, n, low, at in zip(steps, pixels.shape, first, middle, strict=True))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from pysas.formats import files, matlab
 
-# numbers of any shape, structures within, or None for what is neither
+# numbers of any shape in float32 or float64, structures within, or None for what is neither
 Structure = dict[str, "npt.NDArray[Any] | Structure | None"]
 _STRUCTURE, _SINGLE = 2, 7
 _LONGEST = 64  # characters of a field's name, and the zero after it
@@ -97,13 +97,14 @@ def _value(element: memoryview, order: str, depth: int) -> npt.NDArray[Any] | St
     if len(lengths) < 2 or min(lengths) < 0:
         raise ValueError(f"found a variable of shape {tuple(lengths)}")
     if word & 0xFF in matlab._CLASSES:
-        real = _entries(parts, order, math.prod(lengths))
+        single = word & 0xFF == _SINGLE
+        if word & 0xFF > _SINGLE:
+            return None  # integers are no part of what is read here
+        real = _entries(parts, order, math.prod(lengths), single)
         if word & matlab._COMPLEX:
-            values = np.empty(real.size, np.complex64 if word & 0xFF == _SINGLE else np.complex128)
-            values.real, values.imag = real, _entries(parts, order, real.size)
+            values = np.empty(real.size, np.complex64 if single else np.complex128)
+            values.real, values.imag = real, _entries(parts, order, real.size, single)
             real = values
-        elif word & 0xFF == _SINGLE:
-            real = real.astype(np.float32)
         return real.reshape(lengths, order="F")
     if word & 0xFF != _STRUCTURE or math.prod(lengths) != 1 or depth == _DEEPEST:
         return None
@@ -118,10 +119,16 @@ def _value(element: memoryview, order: str, depth: int) -> npt.NDArray[Any] | St
     return {title: _value(field, order, depth + 1) if len(field) else None for title, field in zip(titles, fields, strict=True)}
 
 
-def _entries(parts: Any, order: str, count: int) -> npt.NDArray[Any]:
-    """`count` numbers, the next part of a variable."""
+def _entries(parts: Any, order: str, count: int, single: bool) -> npt.NDArray[Any]:
+    """`count` numbers, the next part of a variable, in float32 or float64; MATLAB keeps whole ones in integers."""
     kind, data = next(parts, (0, memoryview(b"")))
     entry = np.dtype(f"{order}{matlab._ENTRIES.get(kind, 'V1')}")
     if entry.kind == "V" or len(data) != count * entry.itemsize:
         raise ValueError(f"found {len(data)} bytes of type {kind} for {count} numbers: expected a whole .mat file")
-    return np.frombuffer(data, entry)
+    kept = np.frombuffer(data, entry)
+    values = kept.astype(np.float32 if single else np.float64)
+    if entry.kind == "f" and values.dtype.itemsize != entry.itemsize:
+        raise ValueError(f"found numbers of {entry.itemsize} bytes in a variable of {values.dtype}")
+    if entry.kind in "iu" and not np.array_equal(values.astype(np.float64), kept.astype(np.float64)):
+        raise ValueError(f"found integers of {entry.itemsize} bytes that are no numbers of the variable's type")
+    return values
