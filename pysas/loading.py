@@ -10,7 +10,6 @@ from pysas.formats.format import Look
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.model.phase_history import PhaseHistory
-from pysas.signal import phase_history
 
 
 def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes | Image:
@@ -44,6 +43,8 @@ def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes 
     found = catalogue.recognised(look) or own.FORMAT
     item = found.read(look.path, channel)
     if isinstance(item, PhaseHistory):
+        from pysas.signal import phase_history  # and SciPy, which other files do not need
+
         with naming(look.path):
             return phase_history.compressed(item)
     return item
