@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
-from pysas.formats import files
+from pysas.formats import cphd_writing, files
 from pysas.formats.format import Format, Look
 from pysas.formats.radar_xml import SPEED, Metadata, axes, library, require_place
+from pysas.model.echoes import Echoes
 from pysas.model.phase_history import PhaseHistory
 
 _START = b"CPHD/"
@@ -288,5 +289,7 @@ FORMAT = Format(
     lost="support arrays (antenna patterns, dwell), parameters of vectors that imaging does not need, vectors without signal",
     sniff=_sniff,
     read=_read,
+    write=cphd_writing.write,
+    writes=(Echoes,),
     extra="radar",
 )

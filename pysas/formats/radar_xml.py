@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import importlib
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -94,8 +97,6 @@ class Metadata:
 
 def library(name: str) -> Any:
     """A module of `sarkit`, or of what it needs."""
-    import importlib
-
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -119,3 +120,51 @@ def require_place(position: FloatArray, geodetic: FloatArray, what: str) -> None
     apart = float(np.linalg.norm(position - there))
     if not apart < 10.0:
         raise ValueError(f"XML: {what}: its Earth-fixed and geodetic coordinates are {apart:.4g} m apart")
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Without the warnings of `sarkit` about Python's own library."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        yield
+
+
+def placed(ecef: Mapping[str, Any] | None) -> tuple[FloatArray, FloatArray]:
+    """Origin (3,) and axes (3, 3) of coordinates on the Earth; None: east, north and up at latitude 0, longitude 0."""
+    if ecef is None:
+        return np.array([6378137.0, 0.0, 0.0]), np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    if not isinstance(ecef, Mapping) or not {"origin", "axes"} <= set(ecef):
+        raise ValueError('ecef: expected {"origin": (3,), "axes": (3, 3)}')
+    origin, turn = _checks.reals("ecef origin", ecef["origin"], [(3,)]), _checks.reals("ecef axes", ecef["axes"], [(3, 3)])
+    if np.abs(turn - axes(turn[0], turn[1], "ecef")).max() > 1e-6:
+        raise ValueError("ecef: axes: expected right-handed unit vectors at right angles")
+    return origin, turn
+
+
+def xyz(values: npt.ArrayLike) -> dict[str, Any]:
+    """The content of an element of three numbers."""
+    return dict(zip("XYZ", np.asarray(values, dtype=np.float64).tolist(), strict=True))
+
+
+def made(namespace: str, name: str, content: Mapping[str, Any]) -> Any:
+    """A tree of XML: attributes (@name), text ("") and elements, lists of those of a name, in the order of `content`."""
+    root = library("lxml.etree").Element(f"{{{namespace}}}{name}", nsmap={None: namespace})
+    _fill(root, content, namespace)
+    return root.getroottree()
+
+
+def _fill(element: Any, content: Mapping[str, Any], namespace: str) -> None:
+    for name, value in content.items():
+        if name.startswith("@"):
+            element.set(name[1:], str(value))
+        elif name == "":
+            element.text = str(value)
+        else:
+            for item in value if isinstance(value, list) else [value]:
+                child = element.makeelement(f"{{{namespace}}}{name}")
+                element.append(child)
+                if isinstance(item, Mapping):
+                    _fill(child, item, namespace)
+                else:
+                    child.text = str(item)

@@ -7,22 +7,19 @@ the ellipsoid, x points east, y north and z up. Rows lie along x and columns alo
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import warnings
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.formats import files
 from pysas.formats.format import Format, Look
-from pysas.formats.radar_xml import SPEED, Metadata, axes, library
+from pysas.formats.radar_xml import SPEED, Metadata, library, made, placed, quiet, xyz
 from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
 
@@ -63,21 +60,13 @@ def write(path: str, image: Image, overwrite: bool = False, ecef: Mapping[str, A
     """
     sicd = library("sarkit.sicd")
     tree, pixels = _described(image, ecef)
-    with _quiet():
+    with quiet():
         meta = sicd.NitfMetadata(
             xmltree=tree, file_header_part={"ostaid": "pysas", "security": _SECURITY},
             im_subheader_part={"isorce": "pysas", "security": _SECURITY}, de_subheader_part={"security": _SECURITY},
         )  # fmt: skip
         with files.replacing(path, overwrite=overwrite) as file, sicd.NitfWriter(file, meta) as writer:
             writer.write_image(pixels)
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the warnings of `sarkit` about Python's own library."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=DeprecationWarning)
-        yield
 
 
 def _described(image: Image, ecef: Mapping[str, Any] | None) -> tuple[Any, ComplexArray]:
@@ -96,7 +85,7 @@ def _described(image: Image, ecef: Mapping[str, Any] | None) -> tuple[Any, Compl
         pixels = np.ascontiguousarray(image.data.T, dtype=np.complex64)
     if np.isinf(pixels).any() and not np.isinf(image.data).any():
         raise ValueError("image: pixels of more than 3.4e38: expected such as complex64 holds")
-    origin, turn = _placed(ecef)
+    origin, turn = placed(ecef)
     cos, sin = np.cos(grid.rotation), np.sin(grid.rotation)
     rows, columns = np.array([cos, sin, 0.0]) @ turn, np.array([-sin, cos, 0.0]) @ turn
     middle = (pixels.shape[0] // 2, pixels.shape[1] // 2)
@@ -115,17 +104,6 @@ def _described(image: Image, ecef: Mapping[str, Any] | None) -> tuple[Any, Compl
     return _tree(pixels.shape, middle, ecef_of, rows, columns, steps, image.fc, text), pixels
 
 
-def _placed(ecef: Mapping[str, Any] | None) -> tuple[FloatArray, FloatArray]:
-    if ecef is None:  # east, north and up at latitude 0, longitude 0
-        return np.array([6378137.0, 0.0, 0.0]), np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
-    if not isinstance(ecef, Mapping) or not {"origin", "axes"} <= set(ecef):
-        raise ValueError('ecef: expected {"origin": (3,), "axes": (3, 3)}')
-    origin, turn = _checks.reals("ecef origin", ecef["origin"], [(3,)]), _checks.reals("ecef axes", ecef["axes"], [(3, 3)])
-    if np.abs(turn - axes(turn[0], turn[1], "ecef")).max() > 1e-6:
-        raise ValueError("ecef: axes: expected right-handed unit vectors at right angles")
-    return origin, turn
-
-
 def _tree(
     shape: tuple[int, int],
     middle: tuple[int, int],
@@ -137,10 +115,7 @@ def _tree(
     known: str,
 ) -> Any:
     """The XML: what the image tells, and the stand-ins."""
-    etree, sicd, wgs84 = library("lxml.etree"), library("sarkit.sicd"), library("sarkit.wgs84")
-
-    def xyz(values: FloatArray) -> dict[str, Any]:
-        return dict(zip("XYZ", (float(value) for value in values), strict=True))
+    sicd, wgs84 = library("sarkit.sicd"), library("sarkit.wgs84")
 
     def poly(values: list[float]) -> dict[str, Any]:
         return {"@order1": len(values) - 1, "Coef": [{"@exponent1": i, "": value} for i, value in enumerate(values)]}
@@ -196,29 +171,11 @@ def _tree(
             "ImageFormAlgo": "OTHER", "STBeamComp": "NO", "ImageBeamComp": "NO", "AzAutofocus": "NO", "RgAutofocus": "NO",
         },
     }  # fmt: skip
-    root = etree.Element("{urn:SICD:1.4.0}SICD", nsmap={None: "urn:SICD:1.4.0"})
-    _filled(root, content)
-    tree = root.getroottree()
-    with _quiet():
+    tree = made("urn:SICD:1.4.0", "SICD", content)
+    root = tree.getroot()
+    with quiet():
         root.append(sicd.compute_scp_coa(tree))
     return tree
-
-
-def _filled(element: Any, content: Mapping[str, Any]) -> None:
-    """Put attributes (@name), text ("") and elements, in the order in which they are given, into an element."""
-    for name, value in content.items():
-        if name.startswith("@"):
-            element.set(name[1:], str(value))
-        elif name == "":
-            element.text = str(value)
-        else:
-            for item in value if isinstance(value, list) else [value]:
-                child = element.makeelement(f"{{urn:SICD:1.4.0}}{name}")
-                element.append(child)
-                if isinstance(item, Mapping):
-                    _filled(child, item)
-                else:
-                    child.text = str(item)
 
 
 def _read(path: str, channel: str | None) -> Image:
