@@ -84,12 +84,7 @@ def test_points_of_a_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize("case", ["FX, SGN -1", "bistatic", "TOA, SGN -1", "version 1.0.1", "constant height", "agile"])
 def test_sarkit_s_checker_accepts_the_scenes(case: str, tmp_path: Path) -> None:
     write(tmp_path / "a.cphd", SCENES[case])
-    with (tmp_path / "a.cphd").open("rb") as file:
-        checker = CphdConsistency.from_file(file, thorough=True)
-        checker.check()
-        failed = checker.failures(omit_passed_sub=True)
-    wrong = [name for name, part in failed.items() if any(detail["severity"] == "Error" for detail in part["details"])]
-    assert wrong == [] and len(checker.passes()) > 50
+    assert errors_of(tmp_path / "a.cphd") == []
 
 
 def test_what_is_kept(tmp_path: Path) -> None:
@@ -134,6 +129,87 @@ def test_vectors_without_a_signal_are_left_out_and_said(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="2 of 60 vectors hold no signal and are left out"):
         echoes = pysas.load_echoes(tmp_path / "a.cphd")
     assert np.abs(echoes.tx - np.delete(known["tx"], (0, 7), axis=0)).max() < 1e-8
+
+
+# Written
+
+
+@pytest.mark.parametrize("case", ["FX, SGN +1", "bistatic", "TOA, SGN -1", "constant height"])
+def test_echoes_come_back_and_the_checker_accepts_them(case: str, tmp_path: Path) -> None:
+    """Samples to their rounding; of complex64 after two turns of phase that is 2^-23 of the largest."""
+    write(tmp_path / "a.cphd", SCENES[case])
+    echoes = pysas.load_echoes(tmp_path / "a.cphd")
+    assert cli.main(["convert", str(tmp_path / "a.cphd"), str(tmp_path / "b.cphd")]) == 0
+    assert errors_of(tmp_path / "b.cphd") == []
+    same_echoes(echoes, pysas.load_echoes(tmp_path / "b.cphd"))
+
+
+def errors_of(path: Path) -> list[str]:
+    with path.open("rb") as file:
+        checker = CphdConsistency.from_file(file, thorough=True)
+        checker.check()
+        failed = checker.failures(omit_passed_sub=True)
+    assert len(checker.passes()) > 50
+    return [name for name, part in failed.items() if any(detail["severity"] == "Error" for detail in part["details"])]
+
+
+def same_echoes(echoes: pysas.Echoes, found: pysas.Echoes) -> None:
+    assert np.abs(found.data - echoes.data).max() < 2.0**-23 * np.abs(echoes.data).max()
+    assert found.data.dtype.itemsize == 8 and found.occupied_bandwidth == pytest.approx(echoes.occupied_bandwidth, rel=1e-14)
+    assert (found.fs, found.fc) == (pytest.approx(echoes.fs, rel=1e-15), pytest.approx(echoes.fc, rel=1e-15))
+    assert np.abs(found.tx - echoes.tx).max() < 1e-8 and np.abs(found.rx - echoes.rx).max() < 1e-8
+    assert np.abs(found.start_time - echoes.start_time).max() * echoes.fs < 1e-9
+    assert found.attrs["scene_area"] == echoes.attrs.get("scene_area", found.attrs["scene_area"])
+    assert (found.velocity is None) == (echoes.velocity is None)
+    if found.velocity is not None:
+        assert np.abs(found.velocity - echoes.velocity).max() < 1e-9
+
+
+def plain(**changes: Any) -> pysas.Echoes:
+    """Of a scene whose place nobody knows, stop-and-hop, without times."""
+    rng = np.random.default_rng(4)
+    tx = np.array([5000.0, 0, 4000]) + np.arange(20)[:, None] * [0, 2.0, 0]
+    data = rng.standard_normal((20, 64, 2)).view(complex)[..., 0]
+    fields: dict[str, Any] = {"fs": 2e8, "fc": 1e10, "tx": tx, "rx": tx, "c": radar_scenes.C, "bandwidth": 1.5e8}
+    fields["t0"] = 2 * np.linalg.norm(tx, axis=1) / radar_scenes.C - 32 / 2e8
+    return pysas.Echoes(data, **(fields | changes))
+
+
+def test_what_echoes_do_not_know_is_filled(tmp_path: Path) -> None:
+    pysas.save(tmp_path / "a.npz", plain())
+    assert cli.main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "a.cphd")]) == 0
+    assert errors_of(tmp_path / "a.cphd") == []
+    found = pysas.load_echoes(tmp_path / "a.cphd")
+    same_echoes(plain(), found)
+    assert found.attrs["ecef"]["origin"] == [6378137.0, 0.0, 0.0]
+    assert np.array_equal(found.ping_time, np.arange(20.0))
+
+
+UNWRITTEN: dict[str, tuple[dict[str, Any], str]] = {
+    "of a sonar": ({"c": 1500.0}, "found c=1500 m/s: expected that of light"),
+    "raw": ({"compressed": False}, "found raw echoes of 20 pings, 1 channels"),
+    "windows": ({"valid": np.tile([1, 60], (20, 1))}, "found echoes with windows"),
+    "times": ({"ping_time": np.zeros(20)}, "ping_time: expected ascending times"),
+    "not finite": ({"data": np.full((20, 64), np.nan + 0j)}, "data: not finite at ping 0"),
+    "elsewhere": ({"t0": 1e-3}, "t0: expected records of all pings that hold the origin"),
+    "wide": ({"bandwidth": 3e10}, "bandwidth=3e.10 Hz about"),
+    "area": ({"attrs": {"scene_area": {"x": [0, 1], "y": [1, 0], "z": 0}}}, "scene_area.*expected ascending"),
+    "no area": ({"attrs": {"scene_area": "North Sea"}}, "scene_area.*expected"),
+    "place": ({"attrs": {"ecef": {"origin": [0, 0, 0]}}}, "ecef: expected"),
+}
+
+
+@pytest.mark.parametrize("case", UNWRITTEN)
+def test_what_a_cphd_cannot_hold_is_told(case: str, tmp_path: Path) -> None:
+    changes, message = UNWRITTEN[case]
+    echoes = plain().replace(**changes)
+    path = str(tmp_path / "a.cphd")
+    with pytest.raises(ValueError, match=re.escape(f"{path}: ") + ".*" + message):
+        catalogue.by_name(path, pysas.Echoes).write(path, echoes, False)
+    assert list(tmp_path.iterdir()) == []
+
+
+# Damage
 
 
 def change(old: str, new: str) -> Any:

@@ -212,7 +212,7 @@ def _history(meta: Metadata, channel: Any, vectors: npt.NDArray[Any], samples: n
     return PhaseHistory(
         samples=_signal(samples, scale, sign != "-1"), first=known["SC0"], step=known["SCSS"], tx=tx,
         # when the reference point's echo arrives it is where the file says, in the engines' model too
-        rx=arrived - velocity * reference[:, None], velocity=velocity, reference=reference, c=SPEED,
+        rx=arrived - velocity * reference[:, None], velocity=velocity if velocity.any() else None, reference=reference, c=SPEED,
         band=None if over == "FX" else np.stack([known["FX1"], known["FX2"]], axis=1), ping_time=known["TxTime"], attrs=attrs,
     )  # fmt: skip
 
@@ -285,8 +285,8 @@ FORMAT = Format(
     title="CPHD 1.0.1 or 1.1.0, radar phase history",
     suffixes=(".cphd",),
     holds="echoes",
-    kept="one channel's samples and geometry on the axes of its image area; the XML as text",
-    lost="support arrays (antenna patterns, dwell), parameters of vectors that imaging does not need, vectors without signal",
+    kept="one channel's samples and geometry, on the axes of its image area; the XML as text",
+    lost="support arrays, vectors without a signal; of echoes written half the digits of complex128, pulse, beam, attrs",
     sniff=_sniff,
     read=_read,
     write=cphd_writing.write,

@@ -6,11 +6,13 @@ stand-ins, which docs/formats.md lists.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pysas import _checks
 from pysas._checks import ComplexArray, FloatArray
 from pysas.formats import files
 from pysas.formats.radar_xml import SPEED, library, made, placed, quiet, xyz
@@ -100,8 +102,7 @@ def _arrival(tx: FloatArray, rx: FloatArray, velocity: FloatArray) -> FloatArray
 def _tree(echoes: Echoes, values: dict[str, Any], shape: tuple[int, ...], origin: FloatArray, turn: FloatArray) -> Any:
     """The XML: what the echoes tell, and the stand-ins."""
     wgs84 = library("sarkit.wgs84")
-    area = echoes.attrs.get("scene_area") or _swath(values)
-    (left, right), (bottom, top) = area["x"], area["y"]
+    (left, right), (bottom, top) = _area(echoes.attrs.get("scene_area"), values)
     ends = ((left, bottom), (left, top), (right, top), (right, bottom))
     corners = [wgs84.cartesian_to_geodetic(np.array([*end, 0.0]) @ turn + origin) for end in ends]
     fields: dict[str, Any] = {}
@@ -182,7 +183,16 @@ def _constant(value: float) -> dict[str, Any]:
     return {"@order1": 0, "@order2": 0, "Coef": {"@exponent1": 0, "@exponent2": 0, "": value}}
 
 
-def _swath(values: dict[str, npt.NDArray[Any]]) -> dict[str, list[float]]:
-    """Of echoes that name no area: a square as large as the swath of ranges."""
-    half = SPEED / 4 * float(values["TOA2"] - values["TOA1"])
-    return {"x": [-half, half], "y": [-half, half]}
+def _area(area: Any, values: dict[str, npt.NDArray[Any]]) -> list[list[float]]:
+    """Spans along x and y that the echoes' attrs name, or else a square as large as the swath of ranges."""
+    if area is None:
+        half = SPEED / 4 * float(values["TOA2"] - values["TOA1"])
+        return [[-half, half], [-half, half]]
+    if not isinstance(area, Mapping) or not {"x", "y", "z"} <= set(area) or area["z"] != 0:
+        raise ValueError(
+            'attrs["scene_area"]: expected {"x": [low, high], "y": [low, high], "z": 0}, of a plane with the origin'
+        )
+    spans = [_checks.reals(f'attrs["scene_area"][{name!r}]', area[name], [(2,)]).tolist() for name in "xy"]
+    if any(high <= low for low, high in spans):
+        raise ValueError(f'attrs["scene_area"]: found {spans}: expected ascending spans')
+    return spans
