@@ -200,6 +200,7 @@ PINGS = {
     "alike": ([9e9] * 4, [1.5e6] * 4),
     "first frequencies": ([9e9, 9.0123e9, 8.95e9, 9e9 + 0.125], [1.5e6] * 4),
     "steps": ([9e9] * 4, [1.5e6, 1.4e6, 1.7e6, 1.5e6 * (1 + 1e-9)]),
+    "steps that rounding makes": ([9e9] * 4, [1.5e6, 1.5e6 * (1 + 1e-15), 1.5e6 * (1 - 1e-13), 1.5e6]),
     "both": ([9e9, 9.1e9, 8.9e9, 9.03e9], [1.5e6, 1.75e6, 1.3e6, 1.3e6]),
     "low": ([2e4, 2.2e4, 2.1e4, 2e4], [110.0, 100.0, 101.0, 100.0]),
 }
@@ -231,6 +232,7 @@ def test_each_ping_counts_over_one_unambiguous_swath() -> None:
     assert np.abs((last - first + 1) / echoes.fs * known.step - 1).max() < 1.01 * known.step.max() / echoes.fs
     assert np.abs((first + last) / 2 - echoes.n_sample // 2).max() <= 0.5
     assert compressed(record(*PINGS["first frequencies"])).valid is None
+    assert compressed(record(*PINGS["steps that rounding makes"])).valid is None
 
 
 def test_one_of_equal_pings_is_the_monostatic_case() -> None:
@@ -280,7 +282,7 @@ BAD_RECORDS: list[tuple[str, dict[str, Any], type[Exception], str]] = [
     ("first zero", {"first": [9e9, 9e9, 0.0, 9e9]}, ValueError, "first: 0.0 at ping 2: expected Hz > 0"),
     ("step negative", {"step": [1e6, 1e6, 1e6, -1e6]}, ValueError, "step: -1000000.0 at ping 3"),
     ("step shape", {"step": 1e6}, ValueError, r"step: expected shape \(4,\)"),
-    ("far apart", {"first": [9e9, 9e9, 9e10, 9e9]}, ValueError, "first, step: pings of 8.* expected traces of at most 4096"),
+    ("far apart", {"first": [9e9, 9e9, 9e10, 9e9]}, ValueError, "first, step: pings of 8.* expected traces of at most 1024"),
     ("fine step", {"step": [1e6, 1e-3, 1e6, 1e6]}, ValueError, "first, step: pings of .* steps from 0.001 Hz"),
     ("reference", {"reference": [1e-5, 1e-5, -1e-5, 1e-5]}, ValueError, "reference: -1e-05 at ping 2: expected times >= 0"),
     ("tx", {"tx": np.zeros((3, 3))}, ValueError, r"tx: expected shape \(4, 3\)"),

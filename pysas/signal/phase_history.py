@@ -21,7 +21,8 @@ from pysas.model.phase_history import PhaseHistory, even_grid
 
 _MARGIN = 1.25  # fs over the occupied bandwidth, at least
 _BATCH_BYTES = 32 * 2**20
-_MOST = 64  # samples of a trace a frequency, or of 64 frequencies: pings whose bands lie further apart have no common base-band
+_MOST = 16  # samples of a trace a frequency, or of 64 frequencies: pings whose bands lie further apart have no common base-band
+_ALIKE = 1e-11  # of a step, by which the last of K frequencies may be off one step of all pings: pi/2 of it in rad
 
 
 @_checks.usual_errors
@@ -97,7 +98,7 @@ def compressed(history: PhaseHistory) -> Echoes:
     ValueError, TypeError
         Wrong shape or dtype, non-finite values, frequencies or steps that are not > 0, references < 0, delays whose steps
         differ from ping to ping or are longer than 1/bandwidth, bands of pings so far apart that traces would have more than
-        64 max(K, 64) samples; names the first offending ping.
+        16 max(K, 64) samples; names the first offending ping.
 
     Notes
     -----
@@ -174,10 +175,10 @@ def _traces(
     bandwidth = 2 * float(np.max(np.maximum(np.abs(offset - middle * step), np.abs(offset + (count - 1 - middle) * step))))
     finest = float(step.min())
     length = np.ceil(max(_MARGIN * bandwidth / finest, _MARGIN * 2 * middle)) + 1
-    if length > _MOST * max(count, _MOST):
+    if length > _MOST * max(count, 64):
         raise ValueError(
             f"first, step: pings of {bandwidth:.4g} Hz together at steps from {finest:.4g} Hz, {count} frequencies each: "
-            f"expected traces of at most {_MOST * max(count, _MOST)} samples"
+            f"expected traces of at most {_MOST * max(count, 64)} samples"
         )
     n = scipy.fft.next_fast_len(int(length))
     fs = n * finest
@@ -185,7 +186,7 @@ def _traces(
     carrier = np.exp(-2j * np.pi * np.asarray(turns % 1, dtype=np.float64))
     bins = (np.arange(count) - middle) % n
     away = np.arange(n) - n // 2  # samples from the reference
-    even = step == finest
+    even = (step - finest) * count <= _ALIKE * finest
     data = np.empty((pings, n), dtype=dtype)
     rows = max(1, _BATCH_BYTES // (3 * 16 * n))
     for start in range(0, pings, rows):
