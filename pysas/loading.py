@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 
-from pysas.formats import catalogue, own
+from pysas.formats import catalogue, files, own, unknown
 from pysas.formats.files import name, naming
 from pysas.formats.format import Look
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.model.phase_history import PhaseHistory
+from pysas.model.recording import Recording
 
 
 def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes | Image:
@@ -27,23 +28,34 @@ def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes 
     -------
     Echoes or Image
         The scene's truth, where the file has it, is in `echoes.attrs` as arrays "truth_position", "truth_amplitude".
-        Samples are read as they are, non-finite ones included. Fields that a schema lacks are ignored, with a warning.
+        Samples are read as they are, non-finite ones included; real ones are demodulated. Fields that a schema lacks are
+        ignored, with a warning.
 
     Raises
     ------
     ValueError
-        A damaged file, one that breaks its format, or of none that is known; names file, field, found and expected. A pipe or
-        a device.
+        A damaged file, or one that breaks its format; names file, field, found and expected. One of no known format: what it
+        looks like and what to do. A pipe or a device.
     MemoryError
         What a whole file holds does not fit; says how much.
     OSError, ImportError
         From the file system; a format whose library is not installed, with the extra that brings it.
     """
     look = Look(name(path))
-    found = catalogue.recognised(look) or own.FORMAT
-    item = found.read(look.path, channel)
+    found = catalogue.recognised(look)
+    if found is None:
+        if not look.folder:
+            files.opened(look.path).close()  # raises what the file system says
+        if (what := unknown.explained(look)) is not None:
+            raise ValueError(f"{look.path}: {what}")
+    item = (found or own.FORMAT).read(look.path, channel)
+    if isinstance(item, Recording):
+        from pysas.signal import recorded  # half a second that files of echoes need not wait for
+
+        with naming(look.path):
+            return recorded.demodulated(item)
     if isinstance(item, PhaseHistory):
-        from pysas.signal import phase_history  # and SciPy, which other files do not need
+        from pysas.signal import phase_history
 
         with naming(look.path):
             return phase_history.compressed(item)

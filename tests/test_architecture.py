@@ -40,6 +40,7 @@ OPTIONAL = {
     "google_crc32c",
     "sarkit",
     "lxml",
+    "yaml",
 }
 # public without standing in pysas.__all__: importing it needs an optional library
 PUBLIC_MODULES = {"plot"}
@@ -339,7 +340,8 @@ def test_shared_code_is_found() -> None:
 
 def test_files_know_no_algorithm_and_algorithms_no_file() -> None:
     assert {"pysas.imaging.planner", "pysas.engine._numba"} <= ALGORITHMS
-    assert reach("pysas.formats.io", GRAPH) & ALGORITHMS == set()
+    for door in ("pysas.formats.io", "pysas.formats.catalogue"):
+        assert reach(door, GRAPH) & ALGORITHMS == set()
     assert {name for name in ALGORITHMS | DATA_MODEL if "pysas.formats.io" in reach(name, GRAPH)} == set()
 
 

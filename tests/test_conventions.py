@@ -32,9 +32,9 @@ def told(shape: str) -> tuple[str, ...]:
 
 def test_echoes_are_described_as_they_are_read() -> None:
     table = rows("Echoes")
-    assert [row[0].removesuffix(" *") for row in table] == list(io._ECHO_FIELDS)
+    assert [row[0].removesuffix(" *") for row in table] == list(io.ECHO_FIELDS)
     assert [row[0][:-2] for row in table if row[0].endswith(" *")] == list(io._ECHO_NEEDS)
-    for (name, entries, shape, *_), (kind, *shapes) in zip(table, io._ECHO_FIELDS.values(), strict=True):
+    for (name, entries, shape, *_), (kind, *shapes) in zip(table, io.ECHO_FIELDS.values(), strict=True):
         words = fields.KINDS[kind][0].removeprefix("a string") or "text"
         assert entries == words, name
         assert sorted(told(shape)) == sorted(shapes), name

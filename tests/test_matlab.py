@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from pysas.formats.matlab import read_mat
+from pysas.formats.matlab import Variables, read_mat
 from pysas.formats.recordings import read_wav
 
 pytestmark = pytest.mark.reference  # no engine takes part
@@ -50,6 +50,43 @@ def big_endian(name: bytes, values: np.ndarray) -> bytes:
 def test_the_other_byte_order(tmp_path: Path) -> None:
     (tmp_path / "a.mat").write_bytes(big_endian(b"pulse", np.arange(-3, 4)))
     np.testing.assert_array_equal(read_mat(str(tmp_path / "a.mat"), "pulse"), np.arange(-3, 4))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_variables_of_any_shape(tmp_path: Path, packed: bool) -> None:
+    rng = np.random.default_rng(1)
+    values = {kind: (100 * rng.random((3, 4, 5))).astype(kind) for kind in KINDS[:-1]}
+    values |= {kind: (rng.random((2, 7)) - 1j * rng.random((2, 7))).astype(kind) for kind in ("c8", "c16")}
+    values |= {"one": np.array([[3.5]]), "none": np.zeros((0, 3)), "row": np.arange(4.0)[None]}
+    scipy.io.savemat(tmp_path / "a.mat", values | {"text": "abc", "record": {"a": 1.0}}, do_compression=packed)
+    found = Variables(str(tmp_path / "a.mat"))
+    for name, value in values.items():
+        assert found.fields[name] == (value.shape, value.dtype)
+        np.testing.assert_array_equal(found.read(name), value)
+    for name in ("text", "record"):
+        assert found.fields[name] == ((0,), np.dtype(object))
+        with pytest.raises(ValueError, match=f"{name}: found no numbers"):
+            found.read(name)
+
+
+def test_variables_of_the_other_byte_order(tmp_path: Path) -> None:
+    (tmp_path / "a.mat").write_bytes(big_endian(b"pulse", np.arange(-3, 4)))
+    found = Variables(str(tmp_path / "a.mat"))
+    assert found.fields["pulse"] == ((1, 7), np.dtype("f8"))
+    np.testing.assert_array_equal(found.read("pulse"), np.arange(-3.0, 4.0)[None])
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_variable_of_more_numbers_than_bytes_is_not_described(tmp_path: Path, packed: bool) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"x": np.zeros(8)})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    content[164:168] = struct.pack("<i", 2**30)  # behind the file's header, the variable's tag, flags and its shape's tag
+    if packed:
+        inner = zlib.compress(bytes(content[128:]))
+        content = content[:128] + struct.pack("<II", 15, len(inner)) + inner
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(ValueError, match=r"x: found shape \(1, 1073741824\) in \d+ bytes, expected all numbers stored"):
+        Variables(str(tmp_path / "a.mat"))
 
 
 @pytest.mark.parametrize(

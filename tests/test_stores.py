@@ -437,7 +437,7 @@ def flipped(file: Path, place: int = 100) -> None:
 
 BROKEN: dict[str, tuple[Callable[[Path], Any], str]] = {
     "another schema": (lambda p: header(p, schema="pysas-echoes-9"), "schema: found 'pysas-echoes-9', expected"),
-    "no schema": (lambda p: header(p, schema=None), "schema: missing"),
+    "no schema": (lambda p: header(p, schema=None), "arrays of no known format: .*data may be the samples"),
     "an attribute changed": (
         lambda p: (p / "zarr.json").write_text((p / "zarr.json").read_text().replace("40000.0", "40001.0")),
         "zarr.json: damaged: found other attributes",
@@ -739,7 +739,7 @@ def test_the_page_tells_what_a_store_has(tmp_path: Path) -> None:
         writer.append(survey())
     group = zarr.open_group(str(tmp_path / "a.zarr"), mode="r")
     arrays = dict(group.arrays())
-    assert {*arrays, *group.attrs} <= {*io._ECHO_FIELDS, "scale", *stores._OWN}
+    assert {*arrays, *group.attrs} <= {*io.ECHO_FIELDS, "scale", *stores._OWN}
     for name, place, entries, shape, *_ in rows:
         if place == "array":
             assert str(arrays[name].dtype) in entries and shape.split(" or ")[-1] == " ".join(

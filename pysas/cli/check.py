@@ -7,7 +7,7 @@ import json
 
 from pysas import loading
 from pysas.cli.common import Command, Progress
-from pysas.formats import io
+from pysas.formats import own
 from pysas.formats.echo_store import open_echoes
 from pysas.inspection import Finding, geometry, inspect, survey
 
@@ -22,7 +22,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 if anything fails."""
     path = arguments.file
-    findings = _of_store(path) if io.is_store(path) else inspect(loading.load_echoes(path))
+    findings = _of_store(path) if own.is_store(path) else inspect(loading.load_echoes(path))
     failed = any(finding.state == "FAIL" for finding in findings)
     if arguments.json:
         rows = [{"check": f.name, "state": f.state, "text": f.text} for f in findings]

@@ -50,7 +50,7 @@ def _span(text: str) -> slice:
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     source, output = arguments.file, arguments.output
     look = Look(source)
-    if catalogue.recognised(look) in (None, own.FORMAT) and look.suffix in own.FORMAT.suffixes and _holds_echoes(source):
+    if catalogue.recognised(look) is own.FORMAT and look.suffix in own.FORMAT.suffixes and _holds_echoes(source):
         if Look(output).suffix in own.FORMAT.suffixes and arguments.db is None:
             return _streamed(arguments, progress)
     if arguments.int16:

@@ -13,7 +13,7 @@ import numpy as np
 from pysas import loading
 from pysas._checks import FloatArray
 from pysas.cli.common import Command, Progress
-from pysas.formats import io
+from pysas.formats import io, own
 from pysas.formats.echo_store import open_echoes
 from pysas.formats.stores import HOLDS, schema_of
 from pysas.imaging.planner import plan_ahead
@@ -35,7 +35,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         values, text = _of_images(arguments.file)
         print(json.dumps(values) if arguments.json else text)
         return 0
-    if io.is_store(arguments.file):
+    if own.is_store(arguments.file):
         values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
         print(json.dumps(values) if arguments.json else text)
         return 0

@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from pysas.formats import cphd, gotcha, image_cf, image_geotiff, image_png, matlab_files, own, sicd
+from pysas.formats import (
+    airsas,
+    arrays,
+    cphd,
+    gotcha,
+    image_cf,
+    image_geotiff,
+    image_png,
+    matlab_files,
+    openstb,
+    own,
+    sicd,
+)
 from pysas.formats.format import Format, Look
 
 # in the order in which they are asked whether a file is theirs
@@ -10,6 +22,9 @@ FORMATS: tuple[Format, ...] = (
     matlab_files.FORMAT,
     image_cf.FORMAT,
     own.FORMAT,
+    arrays.FORMAT,
+    airsas.FORMAT,
+    openstb.FORMAT,
     cphd.FORMAT,
     gotcha.FORMAT,
     sicd.FORMAT,

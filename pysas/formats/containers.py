@@ -16,7 +16,7 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -46,6 +46,18 @@ def container(path: str) -> tuple[Open, Write]:
         raise ValueError(f"{path}: found suffix {suffix!r}, expected .npz or .h5")
     _h5py()
     return _open_h5, _write_h5
+
+
+def npy_header(head: IO[bytes], size: int) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether in Fortran's order, and dtype of an array in .npy of `size` bytes, which hold it and nothing else."""
+    version = np.lib.format.read_magic(head)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(head)
+    start = head.tell()
+    declared = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or start + declared != size:
+        raise ValueError(f"found {dtype} of shape {shape} in {size - start} bytes, expected {declared} bytes")
+    return shape, fortran, dtype
 
 
 class _Bounded:
@@ -88,13 +100,8 @@ class _Npz(File):
             if not info.filename.endswith(".npy"):
                 return
             head = io.BytesIO(stream.read(_MOST_HEADER))
-        version = np.lib.format.read_magic(head)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(head)
+        shape, fortran, dtype = npy_header(head, info.file_size)
         start = head.tell()
-        declared = math.prod(shape) * dtype.itemsize
-        if min(shape, default=0) < 0 or start + declared != info.file_size:
-            raise ValueError(f"found {dtype} of shape {shape} in {info.file_size - start} bytes, expected {declared} bytes")
         self.fields[name] = shape, dtype
         self._start[name] = start, fortran
 
@@ -159,12 +166,13 @@ def _write_npz(file: IO[bytes], fields: Mapping[str, Array | Streamed]) -> None:
 
 
 class _H5(File):
-    def __init__(self, file: Any, size: int) -> None:
+    def __init__(self, file: Any, size: int, names: Container[str] | None = None) -> None:
         self._file, self._size = file, size
         self.fields, self.pairs, self._followed = {}, {}, {}
         for name in file:
-            with blamed(name):
-                self._describe(name)
+            if names is None or name in names:
+                with blamed(name):
+                    self._describe(name)
 
     def _describe(self, name: str) -> None:
         h5py = _h5py()
@@ -258,6 +266,43 @@ def opened_netcdf(file: IO[bytes]) -> Iterator[_Netcdf]:
     """The variables of a NetCDF-4 file, by h5py."""
     with _h5py().File(file.name, "r") as opened:
         yield _Netcdf(opened, file.seek(0, io.SEEK_END))
+
+
+class Groups:
+    """The groups of an open .h5 file; nothing outside the file is followed."""
+
+    def __init__(self, file: Any, size: int) -> None:
+        self._file, self._size = file, size
+
+    def names(self) -> list[str]:
+        """What lies in the file's root."""
+        return list(self._file)
+
+    def group(self, path: str, names: Container[str] | None = None) -> File:
+        """The arrays of one group, "" for the root; of these `names`, where they are given."""
+        h5py = _h5py()
+        found = self._file
+        for part in filter(None, path.split("/")):
+            if not isinstance(found.get(part, getlink=True), h5py.HardLink) or not isinstance(found[part], h5py.Group):
+                raise ValueError(f"{path}: missing, expected a group")
+            found = found[part]
+        return _H5(found, self._size, names)
+
+    def text(self, attribute: str) -> str | None:
+        """An attribute of the root, where it is one string."""
+        if attribute not in self._file.attrs:
+            return None
+        value = np.asarray(self._file.attrs[attribute]).reshape(-1)
+        if value.size != 1 or not isinstance(value[0], str | bytes):
+            return None
+        return value[0].decode("utf-8", "replace") if isinstance(value[0], bytes) else str(value[0])
+
+
+@contextlib.contextmanager
+def opened_groups(file: IO[bytes]) -> Iterator[Groups]:
+    """The groups of an .h5 file."""
+    with _h5py().File(file.name, "r") as opened:
+        yield Groups(opened, file.seek(0, io.SEEK_END))
 
 
 class _Pages(io.RawIOBase):

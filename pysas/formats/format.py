@@ -16,9 +16,10 @@ from pysas.formats import files, io, matlab
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.model.phase_history import PhaseHistory
+from pysas.model.recording import Recording
 
-Item = Echoes | Image | PhaseHistory
-_HEAD = 1024  # bytes of a file that are looked at
+Item = Echoes | Image | PhaseHistory | Recording
+_HEAD = 4096  # bytes of a file that are looked at
 
 
 class Look:

@@ -169,7 +169,7 @@ def named(path: str) -> Iterator[None]:
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the
 # same number wherever it stands, T is "ping channel", or "ping" where the data are (ping, sample)
 
-_ECHO_FIELDS: dict[str, tuple[str, ...]] = {
+ECHO_FIELDS: dict[str, tuple[str, ...]] = {
     "schema": ("text", ""), "data": ("samples", "T sample"), "fs": ("real", ""), "fc": ("real", ""),
     "c": ("real", "", "ping"), "t0": ("real", "", "ping"), "tx": ("real", "ping 3"), "rx": ("real", "T 3"),
     "compressed": ("flag", ""),
@@ -205,7 +205,7 @@ def echo_fields(echoes: Echoes) -> dict[str, Array]:
     if any(name in attrs for name in _TRUTH):
         fields |= dict(zip(_TRUTH, _truth(*(attrs.pop(name, None) for name in _TRUTH)), strict=True))
     if attrs:
-        fields["attrs"] = json.dumps(_plain("attrs", attrs))
+        fields["attrs"] = json.dumps(plain("attrs", attrs))
     fields["data"] = echoes.data
     return {name: np.asarray(value) for name, value in fields.items()}
 
@@ -223,7 +223,7 @@ def by_ping(fields: Mapping[str, Array]) -> tuple[dict[str, Any], Named, Named]:
         if array.ndim == 0:
             header[name] = array.item()
             continue
-        shapes = (shape.replace("T", trace).split() for shape in _ECHO_FIELDS[name][1:])
+        shapes = (shape.replace("T", trace).split() for shape in ECHO_FIELDS[name][1:])
         axes = next(tuple(_AXES_OF.get(word, word) for word in words) for words in shapes if len(words) == array.ndim)
         (rows if axes[0] == stores.PING else fixed)[name] = axes, array
     return header, fixed, rows
@@ -241,7 +241,7 @@ def _truth(position: Any, amplitude: Any) -> tuple[Array, Array]:
 def echo_table(one_receiver: bool) -> dict[str, tuple[str, ...]]:
     """Kind and shapes of the fields of echoes, whose data are (ping, sample) or (ping, channel, sample)."""
     trace = "ping" if one_receiver else "ping channel"
-    return {name: tuple(part.replace("T", trace) for part in field) for name, field in _ECHO_FIELDS.items()}
+    return {name: tuple(part.replace("T", trace) for part in field) for name, field in ECHO_FIELDS.items()}
 
 
 def read_navigation(file: File) -> tuple[Echoes, set[str]]:
@@ -318,7 +318,7 @@ def _image_fields(image: Image) -> dict[str, Array]:
         fields |= {"grid_origin": grid.origin, "grid_rotation": grid.rotation}
     if grid.mask is not None:
         fields["grid_mask"] = grid.mask
-    fields["report"] = json.dumps(_plain("report", image.report.as_dict()))
+    fields["report"] = json.dumps(plain("report", image.report.as_dict()))
     fields["data"] = image.data
     return {name: np.asarray(value) for name, value in fields.items()}
 
@@ -339,19 +339,19 @@ def _read_image(file: File) -> tuple[Image, set[str]]:
     return Image(file.read("data"), grid, report, file.read("fc").item(), file.read("c").item()), set(table)
 
 
-def _plain(name: str, value: Any) -> Any:
+def plain(name: str, value: Any) -> Any:
     """`value` in JSON's own types, or TypeError naming the entry."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, list | tuple):
-        return [_plain(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
+        return [plain(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise TypeError(f"{name}: found key {key!r}, expected strings")
-        return {key: _plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
+        return {key: plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
     raise TypeError(f"{name}: found {type(value).__name__}, expected what JSON can hold")
 
 

@@ -12,6 +12,11 @@ def _sniff(look: Look) -> bool:
     return "schema" in look.entries
 
 
+def is_store(path: str) -> bool:
+    """Whether a file of this name is a Zarr group of this project's, whose pings can be read some at a time."""
+    return io.is_store(path) and _sniff(Look(path))
+
+
 def _read(path: str, channel: str | None) -> Item:
     if channel is not None:
         raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
