@@ -84,7 +84,7 @@ def test_points_of_a_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize("case", ["FX, SGN -1", "bistatic", "TOA, SGN -1", "version 1.0.1", "constant height", "agile"])
 def test_sarkit_s_checker_accepts_the_scenes(case: str, tmp_path: Path) -> None:
     write(tmp_path / "a.cphd", SCENES[case])
-    assert errors_of(tmp_path / "a.cphd") == []
+    assert faults_of(tmp_path / "a.cphd", "Error") == []
 
 
 def test_what_is_kept(tmp_path: Path) -> None:
@@ -140,17 +140,19 @@ def test_echoes_come_back_and_the_checker_accepts_them(case: str, tmp_path: Path
     write(tmp_path / "a.cphd", SCENES[case])
     echoes = pysas.load_echoes(tmp_path / "a.cphd")
     assert cli.main(["convert", str(tmp_path / "a.cphd"), str(tmp_path / "b.cphd")]) == 0
-    assert errors_of(tmp_path / "b.cphd") == []
+    # two platforms' velocities come from places, which jitter here by more than the 1 m/s at which the checker warns
+    assert faults_of(tmp_path / "b.cphd") == (["check_txrcv_posvel_residuals_1"] if SCENES[case].bistatic else [])
     same_echoes(echoes, pysas.load_echoes(tmp_path / "b.cphd"))
 
 
-def errors_of(path: Path) -> list[str]:
+def faults_of(path: Path, *of: str) -> list[str]:
+    """Checks of sarkit's that fail; `of` these severities, or of any."""
     with path.open("rb") as file:
         checker = CphdConsistency.from_file(file, thorough=True)
         checker.check()
         failed = checker.failures(omit_passed_sub=True)
     assert len(checker.passes()) > 50
-    return [name for name, part in failed.items() if any(detail["severity"] == "Error" for detail in part["details"])]
+    return [name for name, part in failed.items() if any(not of or detail["severity"] in of for detail in part["details"])]
 
 
 def same_echoes(echoes: pysas.Echoes, found: pysas.Echoes) -> None:
@@ -178,7 +180,7 @@ def plain(**changes: Any) -> pysas.Echoes:
 def test_what_echoes_do_not_know_is_filled(tmp_path: Path) -> None:
     pysas.save(tmp_path / "a.npz", plain())
     assert cli.main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "a.cphd")]) == 0
-    assert errors_of(tmp_path / "a.cphd") == []
+    assert faults_of(tmp_path / "a.cphd") == []
     found = pysas.load_echoes(tmp_path / "a.cphd")
     same_echoes(plain(), found)
     assert found.attrs["ecef"]["origin"] == [6378137.0, 0.0, 0.0]

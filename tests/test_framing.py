@@ -267,3 +267,40 @@ def test_speeds_of_pings_are_taken_by_their_mean() -> None:
     sway = line(15.0) + np.stack([np.zeros(41), 0.1 * np.sin(np.arange(41.0)), np.zeros(41)], axis=1)
     echoes = survey(sway)
     assert assumed_height(echoes.replace(c=np.full(41, echoes.c)))[1] == assumed_height(echoes)[1]
+
+
+def test_the_scene_that_a_file_was_recorded_for() -> None:
+    """On the coordinates' own axes, whichever way the track lies, at its height; as far as it says and no further."""
+    turned = line(10.0)[:, [1, 0, 2]]
+    scene = {"x": [20.0, 24.0], "y": [-3.0, 5.0], "z": 1.5}
+    echoes = survey(turned).replace(attrs={"scene_area": scene, "altitude": 7.0})
+    assert assumed_height(echoes)[0] == 1.5 and assumed_height(echoes, 2.0)[0] == 3.0
+    grid, how = default_grid(echoes, 1.5)
+    assert not grid.turned and how.startswith("the file's scene")
+    for name in "xy":
+        axis = grid.axes[name]
+        step = axis[1] - axis[0]
+        assert scene[name][0] <= axis[0] < scene[name][0] + step and scene[name][1] - step < axis[-1] <= scene[name][1] + step
+    assert np.ptp(np.diff(grid.axes["x"])) < 1e-9 and grid.axes["x"][1] - grid.axes["x"][0] <= C / 2 / BAND
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        ("North Sea", "scene_area.*expected"),
+        ({"x": [0, 1], "y": [0, 1]}, "scene_area.*expected"),
+        ({"x": [0, 1], "y": [1, 1], "z": 0}, "scene_area.*found"),
+        ({"x": [0, np.nan], "y": [0, 1], "z": 0}, "scene_area.*nan"),
+        ({"x": [0, 1], "y": [0, 1], "z": None}, "scene_area.*z"),
+    ],
+)
+def test_a_scene_that_is_none(scene: Any, message: str) -> None:
+    echoes = survey(line(10.0)).replace(attrs={"scene_area": scene})
+    with pytest.raises((ValueError, TypeError), match=message):
+        default_grid(echoes)
+
+
+def test_a_scene_has_no_side() -> None:
+    echoes = survey(line(10.0)).replace(attrs={"scene_area": {"x": [0, 1], "y": [20, 21], "z": 0.0}})
+    with pytest.raises(ValueError, match="side='port': the file says which scene"):
+        default_grid(echoes, side="port")

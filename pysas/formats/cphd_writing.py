@@ -70,6 +70,8 @@ def _vectors(echoes: Echoes, data: ComplexArray, origin: FloatArray, turn: Float
     tx, rx = echoes.tx, echoes.receivers[:, 0]
     moving = echoes.receiver_velocity
     velocity = np.zeros_like(tx) if moving is None else moving[:, 0]
+    # a transmitter that stands where the receiver does moves as it does
+    along = velocity if moving is not None and np.allclose(tx, rx, rtol=0, atol=1e-6) else np.gradient(tx, time, axis=0)
     late = _arrival(tx, rx, velocity)
     turns = np.longdouble(echoes.fc) * late.astype(np.longdouble) % 1
     signal = (data * np.exp(2j * np.pi * turns.astype(np.float64))[:, None]).astype(np.complex64)
@@ -82,7 +84,7 @@ def _vectors(echoes: Echoes, data: ComplexArray, origin: FloatArray, turn: Float
     if not low < 0 < high:
         raise ValueError("t0: expected records of all pings that hold the origin of the coordinates")
     values = {
-        "TxTime": time, "TxPos": tx @ turn + origin, "TxVel": np.gradient(tx, time, axis=0) @ turn, "RcvTime": time + late,
+        "TxTime": time, "TxPos": tx @ turn + origin, "TxVel": along @ turn, "RcvTime": time + late,
         "RcvPos": (rx + velocity * late[:, None]) @ turn + origin, "RcvVel": velocity @ turn, "SRPPos": origin, "aFDOP": 0.0,
         "aFRR1": 0.0, "aFRR2": 0.0, "FX1": echoes.fc - half, "FX2": echoes.fc + half, "TOA1": low, "TOA2": high,
         "TDTropoSRP": 0.0, "SC0": first, "SCSS": 1 / echoes.fs,
@@ -103,8 +105,9 @@ def _tree(echoes: Echoes, values: dict[str, Any], shape: tuple[int, ...], origin
     """The XML: what the echoes tell, and the stand-ins."""
     wgs84 = library("sarkit.wgs84")
     (left, right), (bottom, top) = _area(echoes.attrs.get("scene_area"), values)
-    ends = ((left, bottom), (left, top), (right, top), (right, bottom))
-    corners = [wgs84.cartesian_to_geodetic(np.array([*end, 0.0]) @ turn + origin) for end in ends]
+    around = ((left, bottom), (left, top), (right, top), (right, bottom))
+    corners = [wgs84.cartesian_to_geodetic(np.array([*place, 0.0]) @ turn + origin) for place in around]
+    lines, samples = (_spaced(*ends, 0.8 * SPEED / 2 / echoes.occupied_bandwidth) for ends in ((left, right), (bottom, top)))
     fields: dict[str, Any] = {}
     word = 0
     for name in _FIELDS:
@@ -117,11 +120,7 @@ def _tree(echoes: Echoes, values: dict[str, Any], shape: tuple[int, ...], origin
         *(values[name] for name in ("TxPos", "RcvPos", "SRPPos", "TxTime", "RcvTime"))
     )
     middle, dwell = float(reference[0] + reference[-1]) / 2, float(reference[-1] - reference[0]) * (1 - _INSIDE)
-    together = bool(
-        np.allclose(
-            values["TxPos"], values["RcvPos"] - values["RcvVel"] * (values["RcvTime"] - values["TxTime"])[:, None], atol=1e-3
-        )
-    )
+    together = np.allclose(echoes.tx, echoes.receivers[:, 0], rtol=0, atol=1e-3)
     point = {
         "ECF": xyz(origin),
         "LLH": dict(zip(("Lat", "Lon", "HAE"), wgs84.cartesian_to_geodetic(origin).tolist(), strict=True)),
@@ -150,6 +149,11 @@ def _tree(echoes: Echoes, values: dict[str, Any], shape: tuple[int, ...], origin
                 "ImageAreaCornerPoints": {
                     "IACP": [{"@index": i + 1, "Lat": float(at[0]), "Lon": float(at[1])} for i, at in enumerate(corners)]
                 },
+                "ImageGrid": {
+                    "IARPLocation": {"Line": lines[2], "Sample": samples[2]},
+                    "IAXExtent": {"LineSpacing": lines[0], "FirstLine": 0, "NumLines": lines[1]},
+                    "IAYExtent": {"SampleSpacing": samples[0], "FirstSample": 0, "NumSamples": samples[1]},
+                },
             },
             "Data": {
                 "SignalArrayFormat": "CF8", "NumBytesPVP": 8 * word, "NumCPHDChannels": 1,
@@ -177,6 +181,13 @@ def _tree(echoes: Echoes, values: dict[str, Any], shape: tuple[int, ...], origin
             "ReferenceGeometry": {"SRP": {"ECF": xyz(origin), "IAC": xyz(np.zeros(3))}},
         },
     )  # fmt: skip
+
+
+def _spaced(low: float, high: float, wanted: float) -> tuple[float, int, float]:
+    """Spacing of pixels that fill a span, how many they are, and which of them, in parts, lies at 0."""
+    count = max(1, round((high - low) / wanted))
+    spacing = (high - low) / count
+    return spacing, count, -low / spacing - 0.5
 
 
 def _constant(value: float) -> dict[str, Any]:
