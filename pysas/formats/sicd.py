@@ -252,14 +252,10 @@ def _pixels(file: IO[bytes], meta: Metadata, segments: list[Any]) -> ComplexArra
 
 def _amplitudes(meta: Metadata) -> npt.NDArray[np.float32]:
     """Of the 256 values of a byte."""
-    table = meta.all("ImageData/AmpTable/Amplitude")
-    values = np.arange(256, dtype=np.float32)
-    for element in table:
-        index = int(element.get("index"))
-        if not 0 <= index < 256:
-            raise ValueError(f"XML: ImageData/AmpTable: found index {index}: expected 0 to 255")
-        values[index] = float(element.text)
-    return values
+    table = {element.get("index"): element.text for element in meta.all("ImageData/AmpTable/Amplitude")}
+    if table and set(table) != {str(index) for index in range(256)}:
+        raise ValueError("XML: ImageData/AmpTable: expected one amplitude of each index from 0 to 255")
+    return np.array([table.get(str(index), index) for index in range(256)], dtype=np.float32)
 
 
 def _image(meta: Metadata, pixels: ComplexArray) -> Image:
