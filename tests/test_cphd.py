@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,13 @@ def test_vectors_without_a_signal_are_left_out_and_said(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="2 of 60 vectors hold no signal and are left out"):
         echoes = pysas.load_echoes(tmp_path / "a.cphd")
     assert np.abs(echoes.tx - np.delete(known["tx"], (0, 7), axis=0)).max() < 1e-8
+
+
+def test_without_sarkit_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "a.cphd", Pass())
+    monkeypatch.setitem(sys.modules, "sarkit.cphd", None)
+    with pytest.raises(ImportError, match=re.escape("sarkit is not installed: pip install 'pysas-sonar[radar]'")):
+        pysas.load(tmp_path / "a.cphd")
 
 
 # Written
