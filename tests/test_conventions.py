@@ -44,7 +44,7 @@ def test_echoes_are_described_as_they_are_read() -> None:
 def test_images_are_described_as_they_are_read() -> None:
     table = {row[0]: row[1:] for row in rows("Images")}
     for kind in KINDS:
-        fields = io._image_table(kind, (7, 8))
+        fields = io.image_table(kind, (7, 8))
         text = table[kind][0]
         own = {name for name in fields if name.startswith("grid_")} - {"grid_kind", "grid_mask"}
         assert set(re.findall(r"grid_\w+", text)) == own

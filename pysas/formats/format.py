@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pysas.formats import files, io, matlab
+from pysas.formats.containers import opened_netcdf
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
 from pysas.model.phase_history import PhaseHistory
@@ -46,10 +47,13 @@ class Look:
 
     @cached_property
     def entries(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-        """Shape and type of the arrays of an .npz, .h5, .mat or .zarr by their names; none where they cannot be told."""
+        """Shape and type of the arrays of an .npz, .h5, .nc, .mat or .zarr by their names; none where they cannot be told."""
         with contextlib.suppress(Exception):
-            if self.suffix == ".mat":
+            if matlab.is_mat(self.head):
                 return matlab.Variables(self.path).fields
+            if self.suffix == ".nc":
+                with files.opened(self.path) as netcdf, opened_netcdf(netcdf) as variables:
+                    return dict(variables.fields)
             with io.opened(self.path) as file:
                 return dict(file.fields)
         return {}

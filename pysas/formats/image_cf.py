@@ -184,7 +184,8 @@ class _Image(File):
 def _sniff(look: Look) -> bool:
     if look.folder:
         return {"schema", "grid_kind", "real", "imag"} <= look.entries.keys()
-    return look.suffix == _NETCDF and look.head.startswith(_HDF5)
+    written = "schema" in look.entries or not look.entries  # none: reading tells what is wrong
+    return look.suffix == _NETCDF and look.head.startswith(_HDF5) and written
 
 
 def _read(path: str, channel: str | None) -> Item:

@@ -40,9 +40,8 @@ _BYTES: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"MM\0*", "a TIFF picture", "written here and not read: give the samples it was made from"),
     (0, b"II+\0", "a BigTIFF picture", "written here and not read: give the samples it was made from"),
     (0, b"%PDF", "a PDF document", "give the samples"),
-    (0, b"CPHD/", "CPHD phase history", "this version of it is not read here"),
     (0, b"CRSD/", "CRSD signal data", "not read here: sarkit reads it, " + _HEADER.replace("write", "then write")),
-    (0, b"NITF", "a NITF file (SICD?)", "not read here: sarkit reads SICD, " + _HEADER.replace("write", "then write")),
+    (0, b"NITF", "a NITF file, but no SICD 1", "a picture has no phase: give the samples it was made from"),
     (0, b"NSIF", "a NSIF file (SICD?)", "not read here: sarkit reads SICD, " + _HEADER.replace("write", "then write")),
     (0, b"\x93NUMPY", "one array of NumPy", "name it in a header (docs/formats.md#plain-arrays)"),
     (0, b"CDF\x01", "netCDF-3", f"convert it to netCDF-4 (nccopy -k 4) and {_HEADER}"),
@@ -66,7 +65,7 @@ def explained(look: Look) -> str | None:
     if not look.head:
         return _of_nothing(look)
     if look.entries:
-        return _of_arrays(look.entries)
+        return _of_arrays(look.entries) + (": of a copy whose name ends in .h5" if look.suffix == ".nc" else "")
     for offset, magic, what, advice in _BYTES:
         if look.head[offset : offset + len(magic)] == magic:
             return f"{what}: {advice}"
