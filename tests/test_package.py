@@ -148,14 +148,20 @@ def test_compiled_modules_of_any_python_are_found(tmp_path: Path) -> None:
 
 
 def test_a_copy_without_extension_tells_so_on_standard_error_alone(tmp_path: Path) -> None:
-    """A whole process: the sources without what was compiled, an extension that does not load, one of another Python."""
+    """A whole process: the sources without what was compiled, an extension that does not load, one of another Python.
+
+    They hide a package that has one, which is told before.
+    """
     copy = tmp_path / "pysas"
     shutil.copytree(Path(pysas.__file__).parent, copy, ignore=shutil.ignore_patterns("*.so", "*.pyd", "lib"))
     engine = copy / "engine"
     echoes, _ = small_scene()
     pysas.save(tmp_path / "raw.npz", echoes)
     environment = {name: value for name, value in os.environ.items() if name != "PYSAS_BACKEND"}
-    environment["PYTHONPATH"] = str(tmp_path)
+    hidden = tmp_path / "installed" / "pysas"
+    (hidden / "engine").mkdir(parents=True)
+    (hidden / "engine" / "_core.cpython-311-x86_64-linux-gnu.so").touch()
+    environment["PYTHONPATH"] = os.pathsep.join([str(tmp_path), str(hidden.parent)])
     command = [sys.executable, "-m", "pysas", "info", "raw.npz", "--json"]
     suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
     for file, reason in (
@@ -167,7 +173,8 @@ def test_a_copy_without_extension_tells_so_on_standard_error_alone(tmp_path: Pat
             (engine / file).write_bytes(b"not a library")
         run = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
         assert json.loads(run.stdout)
-        (line,) = run.stderr.splitlines()
+        first, line = run.stderr.splitlines()
+        assert f"hides the installed {hidden}" in first
         assert line.startswith("pysas: warning: pysas runs on Numba") and f"extension {reason}" in line
     silent = environment | {"PYSAS_BACKEND": "numba"}
     run = subprocess.run(command, cwd=tmp_path, env=silent, check=True, capture_output=True, text=True)

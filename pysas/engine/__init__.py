@@ -43,10 +43,12 @@ BACKENDS = ("auto", *ENGINES)
 def backend_name(backend: str = "auto") -> str:
     """The backend that will run: the argument, else PYSAS_BACKEND, else C++ where it was built."""
     name = _asked_for(backend)
+    if name == "numba":
+        return name
     built = native.extension() is not None
     if name == "cpp" and not built:
         raise ValueError(f"backend='cpp': the C++ extension is {native.absence()}: use 'numba' or 'auto'")
-    return ("cpp" if built else "numba") if name == "auto" else name
+    return "cpp" if built else "numba"
 
 
 def _asked_for(backend: str) -> str:
