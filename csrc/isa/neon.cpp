@@ -9,13 +9,6 @@
 
 #include "core/kernels.hpp"
 
-// Into loops whose length counts: a pair of registers through a call costs more than a look-up.
-#if defined(_MSC_VER) && !defined(__clang__)
-#define PYSAS_INTO __forceinline
-#else
-#define PYSAS_INTO __attribute__((always_inline)) inline
-#endif
-
 namespace pysas::neon {
 namespace {
 
@@ -31,9 +24,10 @@ uint8x16_t bytes_of(uint8x16_t k, const std::uint8_t (&low)[16], const std::uint
     return vsliq_n_u8(vld1q_u8(within), vqtbl1q_u8(k, vld1q_u8(low)), Shift);
 }
 
-// Bytes of the table at `p`, W times two registers long.
+// Bytes of the table at `p`, W times two registers long. In line, as a pair of registers through a call costs more than
+// a look-up.
 template <int W>
-PYSAS_INTO Pair<uint8x16_t> look_up(const void* p, Pair<uint8x16_t> at) {
+PYSAS_INLINE Pair<uint8x16_t> look_up(const void* p, Pair<uint8x16_t> at) {
     const auto* const bytes = static_cast<const std::uint8_t*>(p);
     if constexpr (W == 1) {
         const uint8x16x2_t table = vld1q_u8_x2(bytes);
@@ -77,20 +71,20 @@ struct Float {
         return {vsubq_s32(bits(x).a, magic), vsubq_s32(bits(x).b, magic)};
     }
     static idx load_index(const std::int32_t* p) { return {vld1q_s32(p), vld1q_s32(p + 4)}; }
-    static PYSAS_INTO float32x4_t gather_four(const float* p, int32x4_t k) {
+    static PYSAS_INLINE float32x4_t gather_four(const float* p, int32x4_t k) {
         float32x4_t out = vld1q_dup_f32(p + vgetq_lane_s32(k, 0));
         out = vld1q_lane_f32(p + vgetq_lane_s32(k, 1), out, 1);
         out = vld1q_lane_f32(p + vgetq_lane_s32(k, 2), out, 2);
         return vld1q_lane_f32(p + vgetq_lane_s32(k, 3), out, 3);
     }
-    static PYSAS_INTO vec gather(const float* p, idx k) { return {gather_four(p, k.a), gather_four(p, k.b)}; }
+    static PYSAS_INLINE vec gather(const float* p, idx k) { return {gather_four(p, k.a), gather_four(p, k.b)}; }
     static uint8x16_t bytes(int32x4_t k) {
         static constexpr std::uint8_t low[16] = {0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12};
         static constexpr std::uint8_t within[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
         return bytes_of<2>(vreinterpretq_u8_s32(k), low, within);
     }
     template <int W>
-    static PYSAS_INTO vec pick(const float* p, idx k) {
+    static PYSAS_INLINE vec pick(const float* p, idx k) {
         const auto found = look_up<W>(p, {bytes(k.a), bytes(k.b)});
         return {vreinterpretq_f32_u8(found.a), vreinterpretq_f32_u8(found.b)};
     }
@@ -152,14 +146,14 @@ struct Double {
     static float64x2_t gather_two(const double* p, int64x2_t k) {
         return vld1q_lane_f64(p + vgetq_lane_s64(k, 1), vld1q_dup_f64(p + vgetq_lane_s64(k, 0)), 1);
     }
-    static PYSAS_INTO vec gather(const double* p, idx k) { return {gather_two(p, k.a), gather_two(p, k.b)}; }
+    static PYSAS_INLINE vec gather(const double* p, idx k) { return {gather_two(p, k.a), gather_two(p, k.b)}; }
     static uint8x16_t bytes(int64x2_t k) {
         static constexpr std::uint8_t low[16] = {0, 0, 0, 0, 0, 0, 0, 0, 8, 8, 8, 8, 8, 8, 8, 8};
         static constexpr std::uint8_t within[16] = {0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7};
         return bytes_of<3>(vreinterpretq_u8_s64(k), low, within);
     }
     template <int W>
-    static PYSAS_INTO vec pick(const double* p, idx k) {
+    static PYSAS_INLINE vec pick(const double* p, idx k) {
         const auto found = look_up<W>(p, {bytes(k.a), bytes(k.b)});
         return {vreinterpretq_f64_u8(found.a), vreinterpretq_f64_u8(found.b)};
     }
