@@ -66,7 +66,8 @@ class OptionalBuild(build_ext):
             began = time.monotonic()
             own = ["csrc", "csrc/include"]
             sets = [(f"csrc/isa/{name}.cpp", [], SETS.get(name, []), own) for name in ("baseline", *SETS)]
-            bind = [(source, [], [], extension.include_dirs) for source in extension.sources]
+            own_flags = [flag for flag in extension.extra_compile_args if flag not in FLAGS]  # pybind11's: /bigobj with MSVC
+            bind = [(source, [], own_flags, extension.include_dirs) for source in extension.sources]
             core = [(source, MACROS, [], own) for source in CORE]
             jobs = [*sets, *bind, *core]  # the longest first: a set takes 15 to 25 s, a file of bind 10 s, of the core 1 to 3 s
             at_once = os.cpu_count() or 1
