@@ -107,6 +107,7 @@ docs:
 # links out of the site, which need the internet
 docs-links:
 	PYSAS_GALLERY=False sphinx-build -q -n -d build/doctrees-links -b linkcheck docs build/docs-links
+
 # for Linux, by way of a source distribution, which holds all that a build needs then;
 # `make wheel BUILD="--wheel -C--build-option=--skip-build"` packs what pip has just built in this folder
 BUILD ?=
