@@ -13,6 +13,7 @@ from pathlib import Path
 
 LIBRARIES = {"linux": "libpysas.so", "macosx": "libpysas.dylib", "win": "pysas.dll"}
 MOST = 6e6  # bytes of a wheel
+FOLDER = rb"/(?:home|root|tmp|project|usr|opt|Users|private)/[\w./+-]+"  # of a machine that builds
 
 
 def check(path: Path) -> list[str]:
@@ -58,6 +59,7 @@ def elf_faults(data: bytes, library: bool) -> list[str]:
     debug = [section.name for section in elf.iter_sections() if section.name.startswith((".debug", ".zdebug"))]
     faults += [f"debugging information: {', '.join(debug)}"] if debug else []
     paths = [t.entry.d_tag for t in dynamic if t.entry.d_tag in ("DT_RPATH", "DT_RUNPATH")]
+    paths += sorted({path.decode() for path in re.findall(FOLDER, data)})[:10]
     return faults + ([f"{', '.join(paths)}: expected none"] if paths else [])
 
 
