@@ -21,6 +21,9 @@ STRICT = os.environ.get("PYSAS_WERROR") == "1"
 WINDOWS = sys.platform == "win32"
 NAMES = {"x86_64": "x86", "amd64": "x86", "i386": "x86", "i686": "x86", "aarch64": "arm64"}
 MACHINE = NAMES.get(platform.machine().lower(), platform.machine().lower())
+if sys.platform == "darwin":
+    # for one processor, as an instruction set's source is: python.org's Python would have each file compiled for two
+    os.environ.setdefault("ARCHFLAGS", f"-arch {platform.machine()}")
 
 if WINDOWS:
     FLAGS = ["/O2", "/W4", "/std:c++17", "/EHsc"] + ["/WX"] * STRICT
