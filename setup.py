@@ -45,7 +45,7 @@ MACROS = [("PYSAS_SETS", "".join(f"PYSAS_SET({name})" for name in SETS))]
 
 
 def say(text: str) -> None:
-    print(f"pysas: {text}", flush=True)
+    print(f"pysas: {text}\n", end="", flush=True)  # at once, as several threads speak
 
 
 class OptionalBuild(build_ext):
