@@ -50,7 +50,8 @@ tsan:
 	build/tsan/test_core
 
 # The core for 64-bit ARM, compiled across and run by qemu, with UBSan; then, with kernels as they are shipped in place of those,
-# scenes through the C ABI against the oracle, whose answers are made before. CROSS= and CROSSXX=g++: the same on this machine.
+# scenes through the C ABI against the oracle, whose answers are made before; instructions a term beside AVX2's, where pip has
+# left those kernels here. CROSS= and CROSSXX=g++: the same on this machine.
 CROSSXX ?= aarch64-linux-gnu-g++
 CROSS ?= qemu-aarch64 -L /usr/aarch64-linux-gnu
 UBSAN = -O1 -fsanitize=undefined -fno-sanitize-recover=all
@@ -69,6 +70,8 @@ qemu:
 	$(CROSS) build/qemu/test_cpu
 	$(PYTHON) tests/oracle_scenes.py build/qemu/scenes.bin
 	$(CROSS) build/qemu/test_scenes build/qemu/scenes.bin
+	for avx2 in build/temp*/csrc/isa/avx2.o; do \
+		! [ -f $$avx2 -a -f build/qemu/neon.o ] || $(PYTHON) -m bench.instructions $$avx2 build/qemu/neon.o || exit 1; done
 
 # without traces of comparisons: they made ten seconds of a third of one in loops over filters' taps, and find nothing among
 # doubles
