@@ -91,7 +91,7 @@ UNKNOWN: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "zarr of another name": ("line", nested, "a Zarr group of echo: of no known format"),
     "npy": ("a.npy", lambda p: np.save(p, SAMPLES), "one array of NumPy: name it in a header"),
     "h5 under another name": ("a.dat", hdf5, "HDF5 under another name: rename it to .h5, or write a header"),
-    "nc": ("a.nc", hdf5, r"arrays of no known format: echo complex64[^\n]*\n  write a header .*: of a copy whose name ends in .h5"),
+    "nc": ("a.nc", hdf5, r"arrays of no known format: echo complex64[^\n]*\n  write .*: of a copy whose name ends in .h5"),
     "netCDF-3": ("a.nc", content(b"CDF\x01" + bytes(28)), "netCDF-3: convert it to netCDF-4"),
     "wav": ("a.wav", wav, f"WAV: samples without places: save them as .npy and {HEADER}"),
     "raw binary": ("a.bin", content(NOISE), f"unknown bytes: if they are raw samples, {RAW}"),
