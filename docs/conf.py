@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from public_names import public_names  # noqa: E402  the folder is put on the path first
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+sys.modules["pysas.simulation"] = pysas.simulation  # a name that users see, of a module that lies elsewhere: Sphinx imports it
 
 project = "pysas"
 author = copyright = "The pysas developers"
