@@ -112,6 +112,13 @@ FAULTS: dict[str, tuple[pysas.Echoes, str, str, str]] = {
     "cast": (survey(data=survey().data.real.astype(np.complex64)), "base-band", "FAIL", "cast to complex"),
     "one signal twice": (survey(data=(survey().data.real * (1 + 1j)).astype(np.complex64)), "base-band", "FAIL", "I and Q"),
     "degrees": (survey(tx=survey().tx * 1e-5 + [10, 60, 0], rx=survey().rx * 1e-5 + [10, 60, 0]), "units", "FAIL", "latitude"),
+    "kilometres": (survey(tx=survey().tx / 1e3, rx=survey().rx / 1e3), "units", "warn", "kilometres taken for metres"),
+    "kilohertz": (
+        survey(fs=FS / 1e3, fc=FC / 1e3, pulse=None, bandwidth=None, compressed=True),
+        "units",
+        "warn",
+        "kHz for Hz",
+    ),
     "rounded": (rounded(0.01), "units", "FAIL", "multiples of 0.01 m"),
     "single": (single(), "units", "FAIL", "multiples of 0.0312 m (float32 holds no more)"),
     "long pulse, fast": (survey(velocity=np.full((60, 3), [60.0, 0, 0])), "Doppler", "warn", "60 m/s for a pulse of 0.001 s"),

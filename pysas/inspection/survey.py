@@ -9,12 +9,13 @@ from pysas.inspection.finding import Finding
 from pysas.model.echoes import Echoes
 from pysas.model.pulse import LFM
 
+_CROWDED = 50  # pings to a wavelength; a sonar that moves leaves a few, a survey in km or kHz hundreds
 _GHOST = -33.0  # dB
 _SHIFT = 0.45  # of a cell of range; exact echoes of a moving sonar lose 7 % of their peak at 0.53, a third at 1.3
 
 
 def units(echoes: Echoes) -> Finding:
-    """Degrees taken for metres, and coordinates of which digits are missing."""
+    """Degrees or kilometres taken for metres, and coordinates of which digits are missing."""
     wavelength = float(np.mean(echoes.c)) / echoes.fc
     flat = echoes.tx[:, :2]
     steps = np.linalg.norm(np.diff(flat, axis=0), axis=1)
@@ -24,6 +25,9 @@ def units(echoes: Echoes) -> Finding:
     if globe and 0 < extent and usual < wavelength / 1000 and echoes.n_ping > 1:
         text = f"the track is {extent:.2g} m long at {flat[0, 0]:.4f}, {flat[0, 1]:.4f}, {usual:.2g} m a ping"
         return Finding("units", "FAIL", f"{text}: degrees of latitude and longitude taken for metres: project them first")
+    if 0 < usual < wavelength / _CROWDED:
+        text = f"pings are {usual:.2g} m apart, {wavelength / usual:.0f} to a wavelength of {wavelength:.2g} m"
+        return Finding("units", "warn", f"{text}: kilometres taken for metres, or kHz for Hz?")
     step, coarse = _quantum(echoes.tx)
     if step > wavelength / 16:
         single = " (float32 holds no more)" if coarse else ""
