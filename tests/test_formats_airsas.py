@@ -315,7 +315,7 @@ def test_the_documented_conversion_of_a_pickle(
     ("change", "message"),
     [
         ({"f_stop": None}, "f_stop: missing, expected wfm_data, tx_coords"),
-        ({"temps": None}, "temps: missing, expected real numbers"),
+        ({"temps": None}, r"speed_of_sound: missing, expected it \(m/s, one number\) or temps"),
         ({"speed_of_sound": np.array([343.0, 344.0])}, r"speed_of_sound: found shape \(2,\), expected one number"),
         ({"wfm_data": np.zeros((130, 1000), complex)}, "wfm_data: found complex128 of shape .* expected real numbers"),
         ({"rx_coords": np.zeros((129, 3))}, r"rx: expected shape \(130, 3\), found \(129, 3\)"),
@@ -325,7 +325,7 @@ def test_the_documented_conversion_of_a_pickle(
 def test_arrays_that_are_wrong(change: dict[str, Any], message: str, tmp_path: Path, recorded: dict[int, np.ndarray]) -> None:
     fields = {name: value for name, value in (arrays(recorded) | change).items() if value is not None}
     np.savez(tmp_path / "a.npz", allow_pickle=True, **fields)
-    with pytest.raises(ValueError, match=rf"a\.npz: .*{message}"):
+    with pytest.raises(ValueError, match=rf"^[^:]*a\.npz: {message}"):
         pysas.load(tmp_path / "a.npz")
 
 

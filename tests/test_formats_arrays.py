@@ -168,6 +168,8 @@ def test_any_container_and_order_of_axes(axes: str, suffix: str, tmp_path: Path)
 def test_in_phase_and_quadrature_in_any_place(suffix: str, tmp_path: Path) -> None:
     counts = np.random.default_rng(4).integers(-9999, 9999, (2, 4, 2, 12)).astype("<i2")
     entry = saved(tmp_path, f"x{suffix}", counts)
+    loaded = pysas.load(header(tmp_path, {"axes": ["iq", "ping", "channel", "sample"], "data": entry}))
+    np.testing.assert_array_equal(loaded.data, counts[0] + 1j * counts[1])
     loaded = pysas.load(header(tmp_path, {"axes": "iq ping channel sample", "data": entry}))
     np.testing.assert_array_equal(loaded.data, counts[0] + 1j * counts[1])
     assert loaded.data.dtype == np.complex64
@@ -233,6 +235,8 @@ def raw(dtype: str, *shape: int, **more: Any) -> dict[str, Any]:
 REAL: dict[str, Any] = {"phase": None, "data": {"file": "real.npy"}}
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a key misspelt": ({"bandwith": 1.0}, "bandwith: no key of a header: bandwidth is meant"),
+    "a key in capitals": ({"FC": 1.0}, "FC: no key of a header: fc is meant"),
+    "a key unlike all": ({"sampling_rate": 1.0}, "sampling_rate: no key of a header, expected some of header, units"),
     "a key of nothing": ({"colour": 1.0}, "colour: no key of a header, expected some of header, units"),
     "the schema's own": ({"schema": "pysas-echoes-1"}, "schema: no key of a header"),
     "another header": ({"header": "pysas-arrays-1.5"}, "header: found 'pysas-arrays-1.5', expected pysas-arrays-1"),
@@ -262,7 +266,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "an entry without a file": ({"data": {"dtype": "<i2"}}, "data: missing file, expected file, and name"),
     "an entry's other key": ({"data": {"file": "data.npy", "axis": 0}}, "data: found 'axis', expected file, and name"),
     "a name that .npy has not": ({"data": {"file": "data.npy", "name": "x"}}, ".*found file, name, expected file alone"),
-    "no name": ({"data": {"file": "x.npz"}}, r"data: .*x.npz: found file, expected name of \.npz"),
+    "no name": ({"data": {"file": "x.npz"}}, r"data: .*x.npz: name: missing, expected that of an array in the \.npz"),
     "no shape": ({"data": {"file": "raw.bin"}}, r"data: .*raw.bin: found file, expected dtype and shape of \.bin"),
     "no order of bytes": (raw("i2", 4, 2, 12), "data: .*dtype 'i2': expected its byte order too"),
     "no numbers": (raw("O", 4), "data: .*dtype 'O': expected one such as <i2"),

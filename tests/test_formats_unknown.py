@@ -66,6 +66,11 @@ def segy(path: Path) -> None:
     path.write_bytes("C 1 CLIENT".ljust(3200).encode("cp500") + struct.pack(">12xh386x", 500))
 
 
+def cut(path: Path) -> None:
+    np.savez(path, echo=SAMPLES)
+    path.write_bytes(path.read_bytes()[:-100])
+
+
 def content(what: bytes | str) -> Callable[[Path], Any]:
     return lambda path: path.write_bytes(what.encode() if isinstance(what, str) else what)
 
@@ -74,10 +79,15 @@ NOISE = random.Random(1).randbytes(5000)
 UNKNOWN: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "npz": (
         "a.npz", lambda p: np.savez(p, track=np.zeros((4, 3)), echo=SAMPLES),
-        rf"arrays of no known format: track float64 \(4, 3\), echo complex64 \(4, 2, 30\); echo may be the samples\n  {HEADER}",
+        r"arrays of no known format: track float64 \(4, 3\), echo complex64 \(4, 2, 30\); echo may be the samples:\n  "
+        + HEADER,
     ),
     "npz of many": (
-        "a.npz", lambda p: np.savez(p, **{f"x{i}": np.zeros(3) for i in range(40)}), r"arrays .* and 34 more\n  write",
+        "a.npz", lambda p: np.savez(p, **{f"x{i}": np.zeros(3) for i in range(40)}), r"arrays .* and 34 more:\n  write",
+    ),
+    "echoes but for their schema": (
+        "a.npz", lambda p: np.savez(p, data=SAMPLES, fs=1.0, fc=2.0, tx=np.zeros((4, 3)), rx=np.zeros((4, 2, 3)), c=1500.0),
+        r"arrays .*; data may be the samples:\n  add schema, t0, compressed, as docs/conventions.md has them, or write",
     ),
     "npz of objects": ("a.npz", lambda p: np.savez(p, x=np.array([{}]), allow_pickle=True), "x: damaged or .*object"),
     "h5": ("a.h5", hdf5, r"arrays of .* echo complex64 \(4, 2, 30\), more \(no numbers\), .*; echo may be"),
@@ -124,6 +134,7 @@ UNKNOWN: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "gzip": ("a.npz.gz", content(gzip.compress(b"x" * 99)), "a gzip file: gunzip it first"),
     "zip": ("a.zip", archive, "a zip archive, not .npz: unpack it first"),
     "tar": ("a.tar", tar, "a tar archive: unpack it first"),
+    "an npz cut short": ("a.npz", cut, "damaged, or cut short while it was copied or written"),
     "empty": ("a.npz", content(b""), "an empty file: expected samples"),
     "a folder": ("b", lambda p: (p.mkdir(), (p / "t1.h5").touch()), "a folder of 1 entries, such as t1.h5: expected a file"),
     "a program": ("a.out", content(b"\x7fELF" + NOISE), "a program: give the samples"),

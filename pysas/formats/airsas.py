@@ -182,8 +182,10 @@ def _read_arrays(path: str, file: File) -> Recording:
         medium: dict[str, Any] = {}
         if "speed_of_sound" in file.fields:
             medium["c"] = _one(file, "speed_of_sound")
-        else:
+        elif "temps" in file.fields:
             medium["air_temperature"] = _row(file, "temps")
+        else:
+            raise ValueError("speed_of_sound: missing, expected it (m/s, one number) or temps (degrees Celsius, one a ping)")
         fs, *sweep = (_one(file, name) for name in PICKLED[3:])
         return _recording(
             file.read("wfm_data"), fs, *sweep, tx=_floats(file, "tx_coords"), rx=_floats(file, "rx_coords"), **medium,

@@ -47,8 +47,10 @@ def read_array(folder: Path, entry: Mapping[str, Any]) -> Array:
     path = files.name(folder / entry["file"])
     suffix = Path(path).suffix.lower()
     raw = {key: entry[key] for key in ("dtype", "shape", "offset") if key in entry}
+    if suffix in _NAMED and "name" not in entry:
+        raise ValueError(f"{path}: name: missing, expected that of an array in the {suffix}")
     if ("name" in entry) != (suffix in _NAMED) or bool(raw) == (suffix in (*_NAMED, ".npy")):
-        expected = "name" if suffix in _NAMED else "file alone" if suffix == ".npy" else "dtype and shape"
+        expected = "file and name" if suffix in _NAMED else "file alone" if suffix == ".npy" else "dtype and shape"
         raise ValueError(f"{path}: found {', '.join(sorted(entry))}, expected {expected} of {suffix or 'raw binary'}")
     if suffix in _NAMED:
         array = _named(path, suffix, entry["name"])

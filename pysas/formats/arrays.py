@@ -26,6 +26,7 @@ SCHEMA = "pysas-arrays-1"
 UNITS = "m, s, Hz"
 PHASES = ("exp(-j)", "exp(+j)")  # of an echo at travel time tau, to which 2 pi fc tau belongs
 _OWN = ("header", "units", "axes", "phase")
+_NEAR = 0.75  # a word less alike than this is another word, and not a slip
 _KEYS = (*_OWN, *(name for name in io.ECHO_FIELDS if name != "schema"))
 _AXES = ("ping", "channel", "sample", "iq")
 # kinds of fields: the type that the schema has, and kinds of numbers that are taken for it
@@ -98,7 +99,7 @@ def _require_keys(path: str, entries: dict[str, Any]) -> None:
         raise ValueError(f"{path}: header: found {entries.get('header', 'none')!r:.60}, expected {SCHEMA}")
     for key in entries:
         if key not in _KEYS:
-            near = difflib.get_close_matches(key, _KEYS, 1)
+            near = difflib.get_close_matches(key.lower(), _KEYS, 1, _NEAR)
             hint = f": {near[0]} is meant?" if near else f", expected some of {', '.join(_KEYS)}"
             raise ValueError(f"{path}: {key:.60}: no key of a header{hint}")
     if entries.get("units") != UNITS:
@@ -125,6 +126,7 @@ def _inline(value: Any) -> Array:
 def _upright(array: Array, entries: dict[str, Any]) -> Array:
     """Samples (ping, channel, sample) or (ping, sample), I and Q as complex, whatever their axes were."""
     words = entries.get("axes")
+    words = " ".join(map(str, words)) if isinstance(words, list) else words
     axes = words.replace(",", " ").split() if isinstance(words, str) else []
     if not {"ping", "sample"} <= set(axes) <= set(_AXES) or len(set(axes)) < len(axes):
         raise ValueError(f"axes: found {words!r:.60}, expected those of data in their order, of {', '.join(_AXES)}")

@@ -43,7 +43,7 @@ def container(path: str) -> tuple[Open, Write]:
     if suffix == ".npz":
         return _open_npz, _write_npz
     if suffix != ".h5":
-        raise ValueError(f"{path}: found suffix {suffix!r}, expected .npz or .h5")
+        raise ValueError(f"{path}: found suffix {suffix!r}, expected .npz or .h5; pysas convert makes others of these")
     _h5py()
     return _open_h5, _write_h5
 
@@ -148,7 +148,11 @@ class _Npz(File):
 @contextlib.contextmanager
 def _open_npz(file: IO[bytes]) -> Iterator[File]:
     size = file.seek(0, io.SEEK_END)
-    with zipfile.ZipFile(_Bounded(file)) as archive:
+    try:
+        opening = zipfile.ZipFile(_Bounded(file))
+    except zipfile.BadZipFile as error:  # its directory stands at the end
+        raise ValueError(f"damaged, or cut short while it was copied or written ({error})") from error
+    with opening as archive:
         yield _Npz(archive, file, size)
 
 

@@ -157,13 +157,14 @@ def opened(path: str) -> Iterator[File]:
 
 @contextlib.contextmanager
 def named(path: str) -> Iterator[None]:
-    """Whatever zipfile, zlib, h5py, zarr and json say of wrong bytes, as a ValueError that names the file."""
+    """Whatever zipfile, zlib, h5py, zarr and json say of wrong bytes, as a ValueError that names the file, once."""
     try:
         yield
     except MemoryError as error:
         raise MemoryError(f"{path}: {error}") from error
     except Exception as error:
-        raise ValueError(f"{path}: {error or type(error).__name__}") from error
+        said = str(error) or type(error).__name__
+        raise ValueError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from error
 
 
 # From objects to fields and back. Tables: kind of a field's entries, then the shapes it may have; a word in a shape is the

@@ -23,6 +23,7 @@ _HEADER = "write a header for its arrays (docs/formats.md#plain-arrays)"
 _RAW = "write a header that says its dtype and shape (docs/formats.md#plain-arrays)"
 _SONAR = "not read here: export its samples and navigation to arrays with its maker's software or MB-System, and {header}"
 _MOST_NAMED = 6
+_ECHOES = ("schema", "data", "fs", "fc", "c", "t0", "tx", "rx", "compressed")  # what echoes must have
 _OWN = (".npz", ".h5", ".zarr")  # names of this project's own files, whose readers tell what is wrong with one
 
 # first bytes, where they stand, what the file looks like, what to do
@@ -46,7 +47,12 @@ _BYTES: tuple[tuple[int, bytes, str, str], ...] = (
     (0, b"\x93NUMPY", "one array of NumPy", "name it in a header (docs/formats.md#plain-arrays)"),
     (0, b"CDF\x01", "netCDF-3", f"convert it to netCDF-4 (nccopy -k 4) and {_HEADER}"),
     (0, b"CDF\x02", "netCDF-3", f"convert it to netCDF-4 (nccopy -k 4) and {_HEADER}"),
-    (0, b"MATLAB 7.3", "a MATLAB 7.3 file", "save it with -v7, or name its arrays as .h5 in a header"),
+    (
+        0,
+        b"MATLAB 7.3",
+        "a MATLAB 7.3 file",
+        "save it with -v7; what is too large for that, write as .h5 (docs/conventions.md#writers)",
+    ),
     (4, b"\xff\xff\0\0", "a Teledyne RESON s7k record", _SONAR.format(header=_RAW)),
     (4, b"#IIP", "a Kongsberg .kmall record", _SONAR.format(header=_RAW)),
     (0, b"\x01\x16", "an EdgeTech JSF record", _SONAR.format(header=_RAW)),
@@ -121,10 +127,11 @@ def _of_arrays(entries: Mapping[str, tuple[tuple[int, ...], np.dtype[Any]]]) -> 
         if 2 <= len(shape) <= 4 and dtype.kind in "iufc" and min(shape) > 0
     ]
     guess = f"; {max(likely)[2]:.40} may be the samples" if likely else ""
-    return (
-        f"arrays of no known format: {', '.join(shown)}{more}{guess}\n"
-        f"  {_HEADER}, or name its fields as docs/conventions.md does"
-    )
+    lacking = [name for name in _ECHOES if name not in entries]
+    advice = f"{_HEADER}, or name its fields as docs/conventions.md does"
+    if len(lacking) <= len(_ECHOES) // 2:
+        advice = f"add {', '.join(lacking)}, as docs/conventions.md has them, or {_HEADER}"
+    return f"arrays of no known format: {', '.join(shown)}{more}{guess}:\n  {advice}"
 
 
 def _kind(shape: tuple[int, ...], dtype: np.dtype[Any]) -> str:
