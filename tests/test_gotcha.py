@@ -15,7 +15,7 @@ import scipy.io
 from radar_mutations import mutated
 
 import pysas
-from pysas.formats.structures import read_structure
+from pysas.formats.matlab_variables import read_structure
 
 C = 299792458.0
 
@@ -104,13 +104,18 @@ def test_sizes_are_not_believed(tmp_path: Path) -> None:
     )
     head = flags + shape + name
     size, names = struct.pack("<HHI", 5, 4, 3), element(1, b"fp\0")
+
+    def packed(size: int) -> bytes:
+        inner = zlib.compress(struct.pack("<II", 14, size) + head + bytes(10**6))
+        return struct.pack("<II", 15, len(inner)) + inner
+
     cases = {
         "found 0 bytes of type 9 for 900000000": element(14, head + size + names + large),
         "found 0 of 4294967288 bytes": element(14, b"", 4294967288),
         "found names of 3 characters in 4": element(14, head + size + element(1, b"fp\0x") + large),
         "found 1 values of fields fp, x": element(14, head + size + element(1, b"fp\0x\0\0") + large),
-        "found type 14 of 2000000000 bytes": element(15, zlib.compress(struct.pack("<II", 14, 2000000000) + bytes(10**6))),
-        "found 100001 bytes of a variable, or more": element(15, zlib.compress(struct.pack("<II", 14, 100000) + bytes(10**6))),
+        "data: found type 14 of 2000000000 bytes": packed(2000000000),
+        "data: found 100001 bytes of a variable, or more": packed(100000),
         "no variable 'data'": b"",
     }
     for message, content in cases.items():

@@ -15,7 +15,7 @@ from test_io import ECHOES, images, same, survey
 
 import pysas
 from pysas.cli import main
-from pysas.formats import catalogue, matlab_files
+from pysas.formats import catalogue, matlab
 from pysas.formats.format import COLUMNS
 from pysas.model.grid import Grid
 from pysas.model.image import Image, Report
@@ -294,7 +294,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
 
 
 def test_a_mat_says_what_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matlab_files, "_MOST", 22_399)
+    monkeypatch.setattr(matlab, "_MOST", 22_399)
     with pytest.raises(
         ValueError, match=r"a\.mat: data: found 22400 bytes, expected at most 22399 in a \.mat: \.h5 takes more"
     ):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pysas import _checks
 from pysas.cli.common import Command, Progress, add_overwrite, add_threads, require_places
-from pysas.formats import files, io, matlab, recordings
+from pysas.formats import files, io, matlab_variables, recordings
 from pysas.formats.tables import Table, read_table
 from pysas.model.echoes import Echoes
 from pysas.navigation import Geometry, Poses, euler, geometry, pulse_centre
@@ -144,7 +144,7 @@ def _table(path: str, names: tuple[str, ...], text: str | None = None) -> Table:
 def _replica(text: str, fs: float) -> npt.NDArray[Any]:
     """The measured pulse, real pass-band."""
     path, name = _file(text)
-    samples, rate = (matlab.read_mat(path, name), fs) if name else recordings.read_wav(path)
+    samples, rate = (matlab_variables.read_row(path, name), fs) if name else recordings.read_wav(path)
     if rate != fs:
         raise ValueError(f"{path}: {rate:g} Hz: expected the samples' rate, --fs {fs:g} Hz")
     if not np.isfinite(samples).all():
@@ -160,7 +160,7 @@ def _number(option: str, text: str) -> float:
             return _checks.number(option, float(text))
         except ValueError:
             raise ValueError(f"{option} {text!r:.60}: expected {_NUMBER}") from None
-    values = matlab.read_mat(path, name)
+    values = matlab_variables.read_row(path, name)
     if values.size != 1:
         raise ValueError(f"{option}: {path}, {name}: {values.size} numbers: expected one")
     return _checks.number(f"{option}: {path}, {name}", values[0])

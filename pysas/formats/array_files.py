@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pysas.formats import files, io, matlab
+from pysas.formats import files, io, matlab_variables
 from pysas.formats.containers import npy_header, opened_groups
 from pysas.formats.fields import Array, File, allocated, blamed, bytes_of
 
@@ -72,7 +72,7 @@ def _named(path: str, suffix: str, name: Any) -> Array:
             return _of(groups.group(place, [name]), name)
     if suffix == ".mat":
         with files.opened(path), io.named(path):
-            return _of(matlab.Variables(path), name)
+            return _of(matlab_variables.Variables(path), name)
     with io.opened(path) as opened:
         return _of(opened, name)
 

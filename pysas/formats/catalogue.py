@@ -10,7 +10,7 @@ from pysas.formats import (
     image_cf,
     image_geotiff,
     image_png,
-    matlab_files,
+    matlab,
     openstb,
     own,
     sicd,
@@ -19,7 +19,7 @@ from pysas.formats.format import Format, Look
 
 # in the order in which they are asked whether a file is theirs
 FORMATS: tuple[Format, ...] = (
-    matlab_files.FORMAT,
+    matlab.FORMAT,
     image_cf.FORMAT,
     own.FORMAT,
     arrays.FORMAT,

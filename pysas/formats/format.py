@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pysas.formats import files, io, matlab
+from pysas.formats import files, io, matlab_variables
 from pysas.formats.containers import opened_netcdf
 from pysas.model.echoes import Echoes
 from pysas.model.image import Image
@@ -49,8 +49,8 @@ class Look:
     def entries(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
         """Shape and type of the arrays of an .npz, .h5, .nc, .mat or .zarr by their names; none where they cannot be told."""
         with contextlib.suppress(Exception):
-            if matlab.is_mat(self.head):
-                return matlab.Variables(self.path).fields
+            if matlab_variables.is_mat(self.head):
+                return matlab_variables.Variables(self.path).fields
             if self.suffix == ".nc":
                 with files.opened(self.path) as netcdf, opened_netcdf(netcdf) as variables:
                     return dict(variables.fields)

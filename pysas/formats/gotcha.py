@@ -13,8 +13,8 @@ import numpy as np
 from pysas import _checks
 from pysas.formats import files
 from pysas.formats.format import Format, Look
+from pysas.formats.matlab_variables import Structure, read_structure, shows_structure
 from pysas.formats.radar_xml import SPEED
-from pysas.formats.structures import Structure, read_structure, shows
 from pysas.model.phase_history import PhaseHistory, even_grid
 
 _START = b"MATLAB 5.0 MAT-file"
@@ -24,7 +24,7 @@ _OFF = 1.0  # m between r0 and the distance of the origin: more than any correct
 
 
 def _sniff(look: Look) -> bool:
-    return look.head.startswith(_START) and shows(look.head, {"fp", *_NUMBERS})
+    return look.head.startswith(_START) and shows_structure(look.head, {"fp", *_NUMBERS})
 
 
 def _read(path: str, channel: str | None) -> PhaseHistory:

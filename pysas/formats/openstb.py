@@ -18,7 +18,7 @@ import numpy as np
 
 from pysas import _checks
 from pysas._checks import FloatArray
-from pysas.formats import files, io, matlab, stores
+from pysas.formats import files, io, matlab_variables, stores
 from pysas.formats.fields import Array, File, allocated, blamed
 from pysas.formats.format import Format, Item, Look
 from pysas.model.echoes import Echoes
@@ -163,7 +163,8 @@ def _along(trajectory: Table, t: FloatArray) -> tuple[FloatArray, FloatArray, Fl
         raise ValueError(f"trajectory.plugin: found {trajectory.get('plugin')!r:.60}, expected linear or circular")
     if type(clockwise := trajectory.get("clockwise")) is not bool:
         raise ValueError(f"trajectory.clockwise: found {clockwise!r:.60}, expected true or false")
-    radius = _number(trajectory, name, "radius")
+    if not (radius := _number(trajectory, name, "radius")) > 0:
+        raise ValueError(f"trajectory.radius: found {radius:g}, expected > 0")
     begin = math.radians(_number(trajectory, name, "start_angle", 0.0))
     rate = (1 if clockwise else -1) * speed / radius  # clockwise as seen from above: z is down
     angle = begin + rate * t
@@ -251,7 +252,7 @@ def _opened(path: str) -> Iterator[File]:
     suffix = Path(path).suffix.lower()
     if suffix == ".mat":
         with files.opened(path), io.named(path):
-            file: File = matlab.Variables(path)
+            file: File = matlab_variables.Variables(path)
         yield file
     elif suffix == ".npz":
         with io.opened(path) as file:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from pysas.formats.matlab import Variables, read_mat
+from pysas.formats.matlab_variables import Variables, read_row
 from pysas.formats.recordings import read_wav
 
 pytestmark = pytest.mark.reference  # no engine takes part
@@ -31,7 +31,7 @@ def test_what_scipy_writes(tmp_path: Path, packed: bool, orientation: Any) -> No
     more = {"text": "abc", "cell": np.array([1, "a"], object), "record": {"a": 1.0}, "large": np.ones((300, 400))}
     scipy.io.savemat(tmp_path / "a.mat", more | values, do_compression=packed, oned_as=orientation)
     for name, value in values.items():
-        found = read_mat(str(tmp_path / "a.mat"), name)
+        found = read_row(str(tmp_path / "a.mat"), name)
         assert found.dtype == np.float64
         np.testing.assert_array_equal(found, np.atleast_1d(value))
 
@@ -49,7 +49,7 @@ def big_endian(name: bytes, values: np.ndarray) -> bytes:
 
 def test_the_other_byte_order(tmp_path: Path) -> None:
     (tmp_path / "a.mat").write_bytes(big_endian(b"pulse", np.arange(-3, 4)))
-    np.testing.assert_array_equal(read_mat(str(tmp_path / "a.mat"), "pulse"), np.arange(-3, 4))
+    np.testing.assert_array_equal(read_row(str(tmp_path / "a.mat"), "pulse"), np.arange(-3, 4))
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -92,21 +92,21 @@ def test_a_variable_of_more_numbers_than_bytes_is_not_described(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        (np.ones((2, 3)), "class 6 of shape (2, 3)"),
-        (np.ones(3) + 1j, "class 6, complex of shape (1, 3)"),
-        (np.zeros((0, 0)), "class 6 of shape (0, 0)"),
-        ("text", "class 4 of shape (1, 4)"),
-        ({"a": 1.0}, "class 2 of shape (1, 1)"),
+        (np.ones((2, 3)), "float64 of shape (2, 3)"),
+        (np.ones(3) + 1j, "complex128 of shape (1, 3)"),
+        (np.zeros((0, 0)), "float64 of shape (0, 0)"),
+        ("text", "text"),
+        ({"a": 1.0}, "no numbers"),
     ],
 )
 def test_what_is_no_row_of_numbers(tmp_path: Path, value: Any, said: str) -> None:
     path = str(tmp_path / "a.mat")
     scipy.io.savemat(path, {"x": value})
     with pytest.raises(ValueError) as error:
-        read_mat(path, "x")
-    assert f"{path}, x: found {said}: expected real numbers" in str(error.value)
+        read_row(path, "x")
+    assert f"{path}: x: found {said}: expected real numbers" in str(error.value)
     with pytest.raises(ValueError, match="no variable 'y': expected one of x"):
-        read_mat(path, "y")
+        read_row(path, "y")
 
 
 def test_other_versions_are_told(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_other_versions_are_told(tmp_path: Path) -> None:
     (tmp_path / "none.mat").write_bytes(b"")
     for name in ("4.mat", "73.mat", "none.mat"):
         with pytest.raises(ValueError, match=rf"{name}: expected a .mat file of MATLAB's versions 5 to 7"):
-            read_mat(str(tmp_path / name), "x")
+            read_row(str(tmp_path / name), "x")
 
 
 def test_nothing_is_expanded_beyond_a_variable_s_most(tmp_path: Path) -> None:
@@ -128,8 +128,8 @@ def test_nothing_is_expanded_beyond_a_variable_s_most(tmp_path: Path) -> None:
     packed = packer.compress(bytes(matrix)) + b"".join(packer.compress(bytes(2**20)) for _ in range(400)) + packer.flush()
     (tmp_path / "a.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"a.mat, x: found"):
-        read_mat(str(tmp_path / "a.mat"), "x")
+    with pytest.raises(ValueError, match=r"a.mat: x: found"):
+        read_row(str(tmp_path / "a.mat"), "x")
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 300e6
@@ -152,10 +152,52 @@ def test_damage_is_an_error_or_other_numbers(tmp_path: Path, suffix: str) -> Non
         path.write_bytes(bad[: draw.choice((len(bad), draw.randrange(len(bad))))])
         try:
             if suffix == "mat":
-                read_mat(str(path), "x")
+                read_row(str(path), "x")
             else:
                 read_wav(str(path))
         except ValueError as error:
             failed += 1
             assert str(path) in str(error)
     assert failed > 100
+
+
+def test_objects_of_matlab_are_passed_over(tmp_path: Path) -> None:
+    """Strings, tables and the like (class 17): flags, name, "MCOS", class, contents, without a shape; all that they hold
+    lies in a variable without a name at the end."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    def flags(code: int) -> bytes:
+        return element(6, struct.pack("<II", code, 0))
+
+    numbers = element(5, struct.pack("<ii", 1, 1)) + element(1, b"") + element(9, struct.pack("<d", 1.0))
+    contents = element(14, flags(6) + numbers)
+    objects = [
+        element(14, flags(17) + element(1, name) + element(1, b"MCOS") + element(1, kind) + contents)
+        for name, kind in ((b"site", b"string"), (b"log", b"table"))
+    ]
+    unnamed = element(14, flags(6) + numbers)
+    scipy.io.savemat(tmp_path / "a.mat", {"x": np.arange(4.0)})
+    content = (tmp_path / "a.mat").read_bytes()
+    packed = [struct.pack("<II", 15, len(inner := zlib.compress(objects[0]))) + inner]
+    for two in (objects, packed + objects[1:]):
+        (tmp_path / "a.mat").write_bytes(content + b"".join(two) + unnamed)
+        found = Variables(str(tmp_path / "a.mat"))
+        assert {name: dtype.kind for name, (_, dtype) in found.fields.items()} == {"x": "f", "site": "O", "log": "O"}
+        np.testing.assert_array_equal(found.read("x"), np.arange(4.0)[None])
+        with pytest.raises(ValueError, match="log: found a cell, a struct or the like"):
+            found.read("log")
+
+
+def test_numbers_that_a_variable_s_type_does_not_hold(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"x": np.array([1.5, 2.0, np.nan])})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    for code, said in ((6, None), (7, None), (12, "x: found numbers of float64 that are none of a variable of int32")):
+        content[144] = code  # the class among the flags
+        (tmp_path / "a.mat").write_bytes(content)
+        if said is None:
+            np.testing.assert_array_equal(Variables(str(tmp_path / "a.mat")).read("x"), [[1.5, 2.0, np.nan]])
+        else:
+            with pytest.raises(ValueError, match=said):
+                Variables(str(tmp_path / "a.mat")).read("x")
