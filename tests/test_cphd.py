@@ -238,6 +238,11 @@ WRONG: dict[str, tuple[str, str, str]] = {
     "other samples": ("<SignalArrayFormat>CF8<", "<SignalArrayFormat>CI4<", "XML: Data/Channel: Signal arrays end at"),
     "overlap": ("<Offset>4</Offset>", "<Offset>3</Offset>", "XML: PVP/TxVel: begins inside TxPos"),
     "beyond a vector": ("<Offset>26</Offset>", "<Offset>99</Offset>", "XML: PVP/SCSS: ends at byte 800 of"),
+    "a parameter twice": (
+        "</PVP>",
+        "<AddedPVP><Name>TxPos</Name><Offset>26</Offset><Size>3</Size><Format>X=F8;Y=F8;Z=F8;</Format></AddedPVP></PVP>",
+        "XML: PVP/TxPos: found twice",
+    ),
     "places apart": ("<HAE>1650.0<", "<HAE>1750.0<", "its Earth-fixed and geodetic coordinates are 100 m apart"),
     "area": ("<X>-15.0<", "<X>25.0<", "ImageArea"),
 }
@@ -256,11 +261,11 @@ def test_metadata_that_lie_are_refused(case: str, tmp_path: Path) -> None:
     body = content[start:end].replace(old.encode(), new.encode(), 1)
     head = re.sub(rb"XML_BLOCK_SIZE := \d+", b"XML_BLOCK_SIZE := %d" % len(body), content[:start])
     grown = len(body) - (end - start)
-    assert grown < 16  # within what lies between blocks, or moved below
+    room = 64 if grown < 16 else 256  # blocks after the XML are moved by it
     moved = re.sub(
-        rb"(PVP|SIGNAL)_BLOCK_BYTE_OFFSET := (\d+)", lambda m: b"%s_BLOCK_BYTE_OFFSET := %d" % (m[1], int(m[2]) + 64), head
+        rb"(PVP|SIGNAL)_BLOCK_BYTE_OFFSET := (\d+)", lambda m: b"%s_BLOCK_BYTE_OFFSET := %d" % (m[1], int(m[2]) + room), head
     )
-    path.write_bytes(moved + body + bytes(64 - grown) + content[end:])
+    path.write_bytes(moved + body + bytes(room - grown) + content[end:])
     with pytest.raises(ValueError, match=re.escape(f"{path}: ") + ".*" + message):
         pysas.load(path)
 

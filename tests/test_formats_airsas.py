@@ -257,6 +257,16 @@ def test_what_is_wrong_is_one_error_that_names_the_file(case: str, tmp_path: Pat
     assert str(tmp_path / "a") in str(caught.value) and len(str(caught.value)) < 600
 
 
+def test_a_file_in_the_root_of_a_file_system_is_no_other_error(
+    tmp_path: Path, recorded: dict[int, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whose folder has none above it."""
+    path = published(tmp_path / "a", recorded)
+    monkeypatch.setattr(Path, "resolve", lambda self: Path("/") / self.name)
+    with pytest.raises(FileNotFoundError, match="t1e1_01.h5: needs /characterization data/acquistionParams.csv"):
+        pysas.load(path)
+
+
 def test_a_channel_is_not_chosen(tmp_path: Path, recorded: dict[int, np.ndarray]) -> None:
     with pytest.raises(ValueError, match="channel='1': its channels are read together"):
         pysas.load(published(tmp_path / "a", recorded), channel="1")

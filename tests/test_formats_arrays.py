@@ -89,6 +89,15 @@ def test_text_that_looks_like_something_else_stays_text(tmp_path: Path) -> None:
         assert pysas.load(tmp_path / f"a{suffix}").attrs == attrs
 
 
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_numbers_that_are_not_finite_are_no_part_of_a_header(suffix: str, tmp_path: Path) -> None:
+    """JSON has none, and readers of headers take none."""
+    for value in (np.nan, -np.inf):
+        with pytest.raises(ValueError, match=f"a{suffix}: found a number that is not finite"):
+            arrays.FORMAT.write(str(tmp_path / f"a{suffix}"), survey(attrs={"depth": [1.0, value]}), False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_files_that_are_there_are_kept(tmp_path: Path) -> None:
     """All take their names together: another survey's arrays are not half replaced."""
     path = tmp_path / "a.yaml"

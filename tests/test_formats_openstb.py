@@ -298,6 +298,10 @@ WRONG: dict[str, tuple[Callable[[str], str], str]] = {
     "another trajectory": (swapped('"linear"', '"spline"'), "trajectory.plugin: found 'spline', expected linear or circular"),
     "no trajectory": (swapped("[trajectory]", "[track]"), "trajectory: missing, expected a table"),
     "no length": (swapped("[2.4, 0.4, 0.15]", "[0.3, 0.1, 0.05]"), "trajectory.end_position: found the start's"),
+    "no radius": (
+        swapped('"linear"', '"circular"\nclockwise = true\nradius = 0.0'),
+        "trajectory.radius: found 0, expected > 0",
+    ),
     "no speed": (swapped("speed = 1.5", ""), "trajectory.speed=None: expected a finite number"),
     "a place of two": (
         swapped("[0.3, 0.1, 0.05]", "[0.3, 0.1]"),

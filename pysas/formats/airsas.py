@@ -122,7 +122,7 @@ def _one(file: File, name: str) -> float:
 
 def _table(path: str, name: str) -> tuple[str, list[list[str]]]:
     """A table's own path and its rows below the names of columns, which are told by a column 2 that is no number."""
-    target = Path(path).resolve().parents[1] / BESIDE / name
+    target = Path(path).resolve().parent.parent / BESIDE / name
     if not target.is_file():
         where = f'expected it in the folder "{BESIDE}" beside the folder "scenes" of the file, as published'
         raise FileNotFoundError(f"{path}: needs {target}, which is missing: {where}")

@@ -113,8 +113,12 @@ def _vectors(file: IO[bytes], meta: Metadata, channel: Any, block: tuple[int, in
     count, size = meta.whole("NumVectors", channel, 1), meta.whole("Data/NumBytesPVP", low=8)
     kinds: dict[str, tuple[np.dtype[Any], int]] = {}
     spans: list[tuple[int, int, str]] = []
+    names: set[str] = set()
     for field in [child for parent in meta.all("PVP") for child in parent.iter() if meta.find("Offset", child) is not None]:
         name = meta.find("Name", field) or str(field.tag).rpartition("}")[2]
+        if name in names:
+            raise ValueError(f"XML: PVP/{name}: found twice, expected each once")
+        names.add(name)
         kind = _kind(meta.get("Format", field))
         start = 8 * meta.whole("Offset", field)
         if kind is not None and kind.itemsize > 8 * meta.whole("Size", field):
@@ -138,9 +142,8 @@ def _vectors(file: IO[bytes], meta: Metadata, channel: Any, block: tuple[int, in
     start = meta.whole("PVPArrayByteOffset", channel)
     _require_full(meta, block[1], "PVP", size)
     used: dict[str, tuple[np.dtype[Any], int]] = {name: kinds[name] for name in (*_NEEDED, "AmpSF", "SIGNAL") if name in kinds}
-    names = list(used)
     formats, offsets = [kind for kind, _ in used.values()], [offset for _, offset in used.values()]
-    layout: np.dtype[Any] = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+    layout: np.dtype[Any] = np.dtype({"names": list(used), "formats": formats, "offsets": offsets, "itemsize": size})
     vectors: npt.NDArray[Any] = np.frombuffer(_bytes(file, block[0] + start, count * size), layout)
     return vectors
 

@@ -50,8 +50,12 @@ def read_header(path: str) -> dict[str, Any]:
 
 def written_header(path: str, entries: Mapping[str, Any]) -> bytes:
     """The text of a header, in the format that the name of its file says."""
+    try:
+        text = json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        raise ValueError(f"{path}: found a number that is not finite, expected such as a header can hold") from None
     if Path(path).suffix.lower() == ".json":
-        return (json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        return f"{text}\n".encode()
     yaml = _yaml()
 
     class Dumper(yaml.SafeDumper):  # type: ignore[misc, name-defined]
@@ -60,8 +64,8 @@ def written_header(path: str, entries: Mapping[str, Any]) -> bytes:
 
     for tag, pattern, first in _NUMBERS:  # so that text that looks like a number is quoted
         Dumper.add_implicit_resolver(tag, pattern, first)
-    text: str = yaml.dump(dict(entries), Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120)
-    return text.encode()
+    made: str = yaml.dump(dict(entries), Dumper=Dumper, sort_keys=False, allow_unicode=True, width=120)
+    return made.encode()
 
 
 def json_of(text: str) -> Any:
