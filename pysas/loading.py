@@ -48,7 +48,9 @@ def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes 
             files.opened(look.path).close()  # raises what the file system says
         if (what := unknown.explained(look)) is not None:
             raise ValueError(f"{look.path}: {what}")
-    item = (found or own.FORMAT).read(look.path, channel)
+    known = found or own.FORMAT
+    known.require_channel(look.path, channel)
+    item = known.read(look.path, channel)
     if isinstance(item, Recording):
         from pysas.signal import recorded  # half a second that files of echoes need not wait for
 

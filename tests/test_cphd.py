@@ -114,7 +114,7 @@ def test_the_command_line_images_the_file_s_own_area(tmp_path: Path, capsys: pyt
     assert abs(image.grid.axes["x"][peak[1]] - 6) < 0.5 and abs(image.grid.axes["y"][peak[0]] + 9) < 0.5
 
 
-def test_channels_are_chosen(tmp_path: Path) -> None:
+def test_channels_are_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.cphd"
     write(path, Pass(channels=("HH", "VH")))
     with pytest.raises(ValueError, match=re.escape(f"{path}: channel: found 2, 'HH', 'VH': expected one")):
@@ -122,6 +122,16 @@ def test_channels_are_chosen(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=re.escape(f"{path}: channel='VV': expected one of 'HH', 'VH'")):
         pysas.load(path, channel="VV")
     assert pysas.load_echoes(path, channel="VH").attrs["source"] == "CPHD 1.1.0, channel VH"
+    other = str(tmp_path / "a.npz")
+    for command in (["info"], ["check"], ["convert"]):
+        rest = [other] if command == ["convert"] else []
+        assert cli.main([*command, str(path), *rest]) == 2
+        assert "expected one of them to be chosen (channel=, --channel)" in capsys.readouterr().err
+        assert cli.main([*command, str(path), *rest, "--channel", "VH"]) in (0, 1)  # 1: a check that finds something
+        assert "error" not in capsys.readouterr().err
+    for command in (["info", other], ["check", other], ["convert", other, str(tmp_path / "b.npz")]):
+        assert cli.main([*command, "--channel", "VH"]) == 2
+        assert "channel='VH': a file of format pysas is read whole: expected None" in capsys.readouterr().err
 
 
 def test_vectors_without_a_signal_are_left_out_and_said(tmp_path: Path) -> None:

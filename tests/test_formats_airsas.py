@@ -268,7 +268,7 @@ def test_a_file_in_the_root_of_a_file_system_is_no_other_error(
 
 
 def test_a_channel_is_not_chosen(tmp_path: Path, recorded: dict[int, np.ndarray]) -> None:
-    with pytest.raises(ValueError, match="channel='1': its channels are read together"):
+    with pytest.raises(ValueError, match="channel='1': a file of format airsas is read whole"):
         pysas.load(published(tmp_path / "a", recorded), channel="1")
 
 

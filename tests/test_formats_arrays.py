@@ -114,6 +114,29 @@ def test_files_that_are_there_are_kept(tmp_path: Path) -> None:
     assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("names", [("a.yaml", "a.json"), ("a.yaml", "tx.npz"), ("link.yaml", "a.json")])
+def test_what_a_header_names_is_not_replaced_by_what_is_made_of_it(
+    names: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor its arrays by those of another header, some of whose pings are asked for."""
+    arrays.FORMAT.write(str(tmp_path / "a.yaml"), survey(), False)
+    np.savez(tmp_path / "tx.npz", tx=survey().tx)
+    text = (tmp_path / "a.yaml").read_text()
+    begin, end = text.index("tx:"), text.index("\nrx:")
+    (tmp_path / "a.yaml").write_text(text[:begin] + "tx: {file: tx.npz, name: tx}" + text[end:])
+    (tmp_path / "link.yaml").symlink_to(tmp_path / "a.yaml")
+    before = {item.name: item.read_bytes() for item in tmp_path.iterdir()}
+    source, target = (str(tmp_path / name) for name in names)
+    assert cli.main(["convert", source, target, "--pings", "0:2", "--overwrite"]) == 2
+    said = capsys.readouterr().err
+    assert f"B {target}" in said and "is read by this command" in said
+    assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
+    if target.endswith(".npz"):
+        assert cli.main(["image", source, "--z", "0", "-o", target, "--overwrite"]) == 2
+        assert "is read by this command" in capsys.readouterr().err
+        assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
+
+
 # Arrays of every container and order
 
 

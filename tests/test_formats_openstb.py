@@ -245,6 +245,16 @@ def test_the_configuration_names_the_result(tmp_path: Path, capsys: pytest.Captu
     assert "target" in capsys.readouterr().out
 
 
+def test_a_result_and_its_configuration_are_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By what is made of them: neither holds what the other does."""
+    path = write(tmp_path / "a.npz", pressure(straight, False, FAR))
+    more = '[result_converter]\nplugin = "numpy"\nfilename = "a.npz"\n'
+    path.with_suffix(".toml").write_text(config(LINEAR, "stop_and_hop", FAR, more))
+    before = path.read_bytes()
+    assert cli.main(["convert", str(tmp_path / "a.toml"), str(path), "--overwrite"]) == 2
+    assert "is read by this command" in capsys.readouterr().err and path.read_bytes() == before
+
+
 @pytest.mark.parametrize("name", ["result.npz", "result.mat"])
 def test_a_header_gives_the_geometry_of_any_simulation(name: str, tmp_path: Path) -> None:
     values = pressure(straight, True, FAR)
@@ -359,7 +369,7 @@ def test_a_result_alone_says_what_it_needs(tmp_path: Path) -> None:
     (tmp_path / "b.toml").write_text(config(LINEAR, "stop_and_hop", FAR))
     with pytest.raises(FileNotFoundError, match=r"result\.zarr"):
         pysas.load(tmp_path / "b.toml")
-    with pytest.raises(ValueError, match="channel='1': its receivers are read together"):
+    with pytest.raises(ValueError, match="channel='1': a file of format openstb is read whole"):
         pysas.load(path, channel="1")
 
 

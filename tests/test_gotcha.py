@@ -82,7 +82,7 @@ def test_what_is_wrong_is_told(case: str, tmp_path: Path) -> None:
 
 
 def test_a_channel_is_not_asked_for(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="channel='HH': it has one channel"):
+    with pytest.raises(ValueError, match="channel='HH': a file of format gotcha is read whole"):
         pysas.load(saved(tmp_path / "a.mat", fields()), channel="HH")
 
 

@@ -6,7 +6,7 @@ import argparse
 import json
 
 from pysas import loading
-from pysas.cli.common import Command, Progress
+from pysas.cli.common import Command, Progress, add_channel
 from pysas.formats import own
 from pysas.formats.echo_store import open_echoes
 from pysas.inspection import Finding, geometry, inspect, survey
@@ -17,12 +17,17 @@ _WHOLE = (geometry.times, geometry.along_track, geometry.track, survey.units, su
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("file", metavar="FILE")
+    add_channel(sub)
 
 
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 if anything fails."""
     path = arguments.file
-    findings = _of_store(path) if own.is_store(path) else inspect(loading.load_echoes(path))
+    if own.is_store(path):
+        own.FORMAT.require_channel(path, arguments.channel)
+        findings = _of_store(path)
+    else:
+        findings = inspect(loading.load_echoes(path, channel=arguments.channel))
     failed = any(finding.state == "FAIL" for finding in findings)
     if arguments.json:
         rows = [{"check": f.name, "state": f.state, "text": f.text} for f in findings]

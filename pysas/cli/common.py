@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pysas import _checks, loading, plot
-from pysas.formats import depth_maps, files
+from pysas.formats import catalogue, depth_maps, files
 from pysas.formats.containers import container
 from pysas.imaging import words
 from pysas.model.echoes import Echoes
@@ -83,10 +83,14 @@ def add_overwrite(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--overwrite", action="store_true", help="replace files that are there (never what is read)")
 
 
+def add_channel(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--channel", metavar="NAME", help="of a file whose channels have pings of their own")
+
+
 def add_scene(sub: argparse.ArgumentParser) -> None:
     """A file of echoes and where they are imaged, for `read` and `chosen_grid`, and how."""
     sub.add_argument("raw", metavar="RAW", help="echoes, raw or compressed, in any format that is known (docs/formats.md)")
-    sub.add_argument("--channel", metavar="NAME", help="of a file whose channels have pings of their own")
+    add_channel(sub)
     sub.add_argument("--c", type=float, metavar="C", help="sound speed, m/s (default: the file's)")
     sub.add_argument("--x", type=span, metavar="MIN:MAX", help="span of x, m (default: the whole survey)")
     sub.add_argument("--y", type=span, metavar="MIN:MAX", help="span of y, m (default: the whole survey)")
@@ -239,11 +243,15 @@ def require_places(
     if data is not None:
         container(data)
     outputs = [("-o", data), ("-o", text), ("--png", picture)]
-    files.check_outputs(
-        [(option, path) for option, path in outputs if path is not None],
-        [path for path in inputs if path is not None],
-        overwrite,
-    )
+    check_outputs([(option, path) for option, path in outputs if path is not None], inputs, overwrite)
+
+
+def check_outputs(outputs: Iterable[tuple[str, str]], inputs: Iterable[str | None], overwrite: bool) -> None:
+    """As `files.check_outputs`, for inputs of any known format: files that one names are read as well."""
+    given = [path for path in inputs if path is not None]
+    if overwrite:  # without it nothing is replaced
+        given = [path for source in given for path in catalogue.inputs_of(source)]
+    files.check_outputs(outputs, given, overwrite)
 
 
 def write_text(path: str | Path, text: str, overwrite: bool) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pysas import loading
-from pysas.cli.common import Command, Progress, add_overwrite
-from pysas.formats import catalogue, files, io, own, stores
+from pysas.cli.common import Command, Progress, add_channel, add_overwrite, check_outputs
+from pysas.formats import arrays, catalogue, io, own, stores
 from pysas.formats.containers import container
 from pysas.formats.echo_store import open_echoes
 from pysas.formats.format import COLUMNS, Look
@@ -20,7 +20,7 @@ from pysas.model.image import Image
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("file", metavar="A", help="echoes or an image, in any format that is known (docs/formats.md)")
     sub.add_argument("output", metavar="B", help="file to write: its name's end says in which format")
-    sub.add_argument("--channel", metavar="NAME", help="of a file whose channels have pings of their own")
+    add_channel(sub)
     sub.add_argument("--int16", action="store_true", help="samples in int16 with a scale a ping, in a .zarr")
     sub.add_argument("--pings", type=_span, default=slice(None), metavar="A:B", help="pings A to B - 1, counted from 0")
     sub.add_argument("--db", type=float, metavar="DB", help="an image in a .tif or .png: bytes over DB dB (.png: 40)")
@@ -52,6 +52,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     look = Look(source)
     if catalogue.recognised(look) is own.FORMAT and look.suffix in own.FORMAT.suffixes and _holds_echoes(source):
         if Look(output).suffix in own.FORMAT.suffixes and arguments.db is None:
+            own.FORMAT.require_channel(source, arguments.channel)
             return _streamed(arguments, progress)
     if arguments.int16:
         raise ValueError("--int16: expected echoes of .npz, .h5 or .zarr, and a .zarr to write")
@@ -93,7 +94,11 @@ def _require_place(source: str, output: str, overwrite: bool) -> None:
         if target.exists() and target.samefile(source):
             raise ValueError(f"B {output}: is read by this command: expected another name")
     else:
-        files.check_outputs([("B", output)], [source], overwrite)
+        check_outputs([("B", output)], [source], overwrite)
+        if overwrite and Look(output).suffix in arrays.FORMAT.suffixes:
+            for path in catalogue.inputs_of(source):
+                if arrays.is_beside(output, path):
+                    raise ValueError(f"B {output}: would replace {path}, which is read by this command: expected another name")
 
 
 def _streamed(arguments: argparse.Namespace, progress: Progress) -> int:

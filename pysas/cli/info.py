@@ -12,7 +12,7 @@ import numpy as np
 
 from pysas import loading
 from pysas._checks import FloatArray
-from pysas.cli.common import Command, Progress
+from pysas.cli.common import Command, Progress, add_channel
 from pysas.formats import io, own
 from pysas.formats.echo_store import open_echoes
 from pysas.formats.stores import HOLDS, schema_of
@@ -26,6 +26,7 @@ from pysas.survey.running import plan_of
 
 def _add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("file", metavar="FILE")
+    add_channel(sub)
     sub.add_argument("--tol", type=float, default=1e-3)
     sub.add_argument("--plan", action="store_true", help="also how the engine would go about it, its errors, and alternatives")
 
@@ -36,10 +37,11 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         print(json.dumps(values) if arguments.json else text)
         return 0
     if own.is_store(arguments.file):
+        own.FORMAT.require_channel(arguments.file, arguments.channel)
         values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
         print(json.dumps(values) if arguments.json else text)
         return 0
-    item = loading.load(arguments.file)
+    item = loading.load(arguments.file, channel=arguments.channel)
     if isinstance(item, Image):
         values = {"kind": "image", "shape": list(item.data.shape), "report": item.report.as_dict()}
         text = repr(item)

@@ -41,8 +41,6 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
     with io.opened(path) as file:
         if "wfm_data" in file.fields:
             return _read_arrays(path, file)
@@ -122,7 +120,7 @@ def _one(file: File, name: str) -> float:
 
 def _table(path: str, name: str) -> tuple[str, list[list[str]]]:
     """A table's own path and its rows below the names of columns, which are told by a column 2 that is no number."""
-    target = Path(path).resolve().parent.parent / BESIDE / name
+    target = _place(path, name)
     if not target.is_file():
         where = f'expected it in the folder "{BESIDE}" beside the folder "scenes" of the file, as published'
         raise FileNotFoundError(f"{path}: needs {target}, which is missing: {where}")
@@ -136,6 +134,14 @@ def _table(path: str, name: str) -> tuple[str, list[list[str]]]:
         raise ValueError(f"{target}: expected a table of text: {error}") from None
     rows = [row for row in rows if any(map(str.strip, row))]
     return str(target), rows[1:] if rows and not _is_number(rows[0][1:2]) else rows
+
+
+def _place(path: str, name: str) -> Path:
+    return Path(path).resolve().parent.parent / BESIDE / name
+
+
+def _beside(path: str) -> list[str]:
+    return [str(_place(path, name)) for name in (PARAMETERS, SENSORS)]
 
 
 def _is_number(cells: list[str]) -> bool:
@@ -202,5 +208,6 @@ FORMAT = Format(
     lost="images, humidity, calibration",
     sniff=_sniff,
     read=_read,
+    beside=_beside,
     extra="hdf5",
 )

@@ -154,12 +154,18 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
     header = _Header(path)
     with io.named(path):
         found, _ = io.read_navigation(header)
         return _recorded(found, header) if header.real else found.replace(data=header.samples)
+
+
+def _beside(path: str) -> list[str]:
+    """The files that a header names."""
+    with contextlib.suppress(Exception):  # reading will tell
+        named = [value["file"] for value in headers.read_header(path).values() if isinstance(value, dict) and "file" in value]
+        return [files.name(Path(path).parent / name) for name in named]
+    return []
 
 
 def _recorded(found: Echoes, header: _Header) -> Recording:
@@ -175,6 +181,12 @@ def _recorded(found: Echoes, header: _Header) -> Recording:
         c=found.c, t0=found.t0, velocity=found.velocity, pulse=found.pulse, compressed=found.compressed, beam=found.beam,
         ping_time=found.ping_time, attrs=found.attrs,
     )  # fmt: skip
+
+
+def is_beside(header: str, path: str) -> bool:
+    """Whether a file has a name that arrays beside a header get."""
+    target, found = Path(header).resolve(), Path(path).resolve()
+    return found.parent == target.parent and found.name in {f"{target.stem}.{name}.npy" for name in io.ECHO_FIELDS}
 
 
 def _write(path: str, item: Echoes, overwrite: bool) -> None:
@@ -212,6 +224,7 @@ FORMAT = Format(
     lost="nothing",
     sniff=_sniff,
     read=_read,
+    beside=_beside,
     write=_write,
     writes=(Echoes,),
     extra="yaml",

@@ -38,6 +38,12 @@ def recognised(look: Look) -> Format | None:
     return next((known for known in FORMATS if known.sniff(look)), None)
 
 
+def inputs_of(path: str) -> list[str]:
+    """A file, and those that reading it reads too."""
+    known = recognised(Look(path))
+    return [path, *(known.beside(path) if known is not None else [])]
+
+
 def by_name(path: str, kind: type) -> Format:
     """The format in which something of type `kind` is written to a file of this name."""
     suffix = Look(path).suffix

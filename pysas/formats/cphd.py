@@ -292,6 +292,7 @@ FORMAT = Format(
     lost="support arrays, vectors without a signal; of echoes written half the digits of complex128, pulse, beam, attrs",
     sniff=_sniff,
     read=_read,
+    channels=True,
     write=cphd_writing.write,
     writes=(Echoes,),
     extra="radar",

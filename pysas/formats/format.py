@@ -63,6 +63,10 @@ def _none(look: Look) -> bool:
     return False
 
 
+def _alone(path: str) -> list[str]:
+    return []
+
+
 def _unread(path: str, channel: str | None) -> Item:
     raise ValueError(f"{path}: found a format that is written and not read")
 
@@ -91,6 +95,10 @@ class Format:
         Whether a file, by its `Look`, is of this format. It never raises, and is quick. Default: no file is.
     read : callable
         `read(path, channel)`: what the file holds; errors name the file. `channel`: one that the file names, or None.
+    channels : bool
+        Whether a file may have channels of which one is read. Other formats' are asked for none (`require_channel`).
+    beside : callable
+        Files that reading a file reads too, so far as it tells; it never raises. Default: none.
     write : callable
         `write(path, item, overwrite)`: a new file, which takes its name when complete.
     draw : callable, optional
@@ -109,10 +117,17 @@ class Format:
     lost: str
     sniff: Callable[[Look], bool] = _none
     read: Callable[[str, str | None], Item] = _unread
+    channels: bool = False
+    beside: Callable[[str], list[str]] = _alone
     write: Callable[[str, Any, bool], None] = _unwritten
     draw: Callable[[str, Any, float, bool], None] | None = None
     writes: tuple[type, ...] = ()
     extra: str | None = None
+
+    def require_channel(self, path: str, channel: str | None) -> None:
+        """ValueError where one is asked for of a format that has none to choose from."""
+        if channel is not None and not self.channels:
+            raise ValueError(f"{path}: channel={channel!r:.60}: a file of format {self.name} is read whole: expected None")
 
     @property
     def row(self) -> tuple[str, ...]:

@@ -28,8 +28,6 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> PhaseHistory:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: it has one channel: expected None")
     fields = read_structure(path, _NAME)
     with files.naming(path):
         return _history(fields)

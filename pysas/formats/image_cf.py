@@ -189,8 +189,6 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: found an image: expected None")
     if Path(path).is_dir():
         with io.opened(path) as store:
             return io.read(path, _Image(store))

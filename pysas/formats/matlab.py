@@ -69,8 +69,6 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
     files.opened(path).close()  # what is not the file's fault
     with io.named(path):
         return io.read(path, _Variables(path))

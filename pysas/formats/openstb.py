@@ -43,8 +43,6 @@ def _sniff(look: Look) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: its receivers are read together: expected None")
     if Path(path).suffix.lower() == ".toml":
         config, result = _configuration(path), None
         with files.naming(path):
@@ -56,6 +54,15 @@ def _read(path: str, channel: str | None) -> Item:
             f"{path}: needs the simulation's configuration as {beside}, which is missing; or a header (docs/formats.md)"
         )
     return _echoes(path, str(beside), _configuration(str(beside)))
+
+
+def _beside(path: str) -> list[str]:
+    """The configuration of a result, or the result of a configuration."""
+    with contextlib.suppress(Exception):  # reading will tell
+        if Path(path).suffix.lower() == ".toml":
+            return [files.name(Path(path).parent / _result(_configuration(path)))]
+        return [str(Path(path).with_suffix(".toml"))]
+    return []
 
 
 def _configuration(path: str) -> Table:
@@ -320,5 +327,6 @@ FORMAT = Format(
     lost="beam patterns, distortions, areas of targets",
     sniff=_sniff,
     read=_read,
+    beside=_beside,
     extra="survey",
 )

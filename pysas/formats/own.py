@@ -18,8 +18,6 @@ def is_store(path: str) -> bool:
 
 
 def _read(path: str, channel: str | None) -> Item:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: its channels are read together: expected None")
     return io.load(path)
 
 

@@ -179,8 +179,6 @@ def _tree(
 
 
 def _read(path: str, channel: str | None) -> Image:
-    if channel is not None:
-        raise ValueError(f"{path}: channel={channel!r:.60}: it has one image: expected None")
     sicd = library("sarkit.sicd")
     with files.naming(path), files.opened(path) as file:
         xml, segments = _nitf(file)
