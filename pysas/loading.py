@@ -41,7 +41,11 @@ def load(path: str | os.PathLike[str], *, channel: str | None = None) -> Echoes 
     OSError, ImportError
         From the file system; a format whose library is not installed, with the extra that brings it.
     """
-    look = Look(name(path))
+    return read(Look(name(path)), channel)
+
+
+def read(look: Look, channel: str | None = None) -> Echoes | Image:
+    """As `load`, of a file that was looked at."""
     found = catalogue.recognised(look)
     if found is None:
         if not look.folder:

@@ -17,6 +17,7 @@ import numpy as np
 from pysas import _checks, loading, plot
 from pysas.formats import catalogue, depth_maps, files
 from pysas.formats.containers import container
+from pysas.formats.format import Look
 from pysas.imaging import words
 from pysas.model.echoes import Echoes
 from pysas.model.gaps import shortened
@@ -243,15 +244,10 @@ def require_places(
     if data is not None:
         container(data)
     outputs = [("-o", data), ("-o", text), ("--png", picture)]
-    check_outputs([(option, path) for option, path in outputs if path is not None], inputs, overwrite)
-
-
-def check_outputs(outputs: Iterable[tuple[str, str]], inputs: Iterable[str | None], overwrite: bool) -> None:
-    """As `files.check_outputs`, for inputs of any known format: files that one names are read as well."""
     given = [path for path in inputs if path is not None]
     if overwrite:  # without it nothing is replaced
-        given = [path for source in given for path in catalogue.inputs_of(source)]
-    files.check_outputs(outputs, given, overwrite)
+        given = [path for source in given for path in catalogue.inputs_of(Look(source))]
+    files.check_outputs([(option, path) for option, path in outputs if path is not None], given, overwrite)
 
 
 def write_text(path: str | Path, text: str, overwrite: bool) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pysas import loading
-from pysas.cli.common import Command, Progress, add_channel, add_overwrite, check_outputs
-from pysas.formats import arrays, catalogue, io, own, stores
+from pysas.cli.common import Command, Progress, add_channel, add_overwrite
+from pysas.formats import arrays, catalogue, files, io, own, stores
 from pysas.formats.containers import container
 from pysas.formats.echo_store import open_echoes
 from pysas.formats.format import COLUMNS, Look
@@ -53,11 +53,11 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     if catalogue.recognised(look) is own.FORMAT and look.suffix in own.FORMAT.suffixes and _holds_echoes(source):
         if Look(output).suffix in own.FORMAT.suffixes and arguments.db is None:
             own.FORMAT.require_channel(source, arguments.channel)
-            return _streamed(arguments, progress)
+            return _streamed(look, arguments, progress)
     if arguments.int16:
         raise ValueError("--int16: expected echoes of .npz, .h5 or .zarr, and a .zarr to write")
-    _require_place(source, output, arguments.overwrite)
-    item = loading.load(source, channel=arguments.channel)
+    _require_place(look, output, arguments.overwrite)
+    item = loading.read(look, arguments.channel)
     if arguments.pings != slice(None):
         if not isinstance(item, Echoes):
             raise ValueError(f"--pings: {source} holds an image: expected echoes")
@@ -85,26 +85,27 @@ def _holds_echoes(path: str) -> bool:
         return True
 
 
-def _require_place(source: str, output: str, overwrite: bool) -> None:
+def _require_place(look: Look, output: str, overwrite: bool) -> None:
     """Raise now what writing would."""
     if io.is_store(output):
         # either is replaced by its like alone: which this is to be, writing knows
         single = stores.schema_of(Path(output)) == stores.HOLDS["single images"]
         target = stores.check_output(output, overwrite, "single images" if single else "echoes")
-        if target.exists() and target.samefile(source):
+        if target.exists() and target.samefile(look.path):
             raise ValueError(f"B {output}: is read by this command: expected another name")
-    else:
-        check_outputs([("B", output)], [source], overwrite)
-        if overwrite and Look(output).suffix in arrays.FORMAT.suffixes:
-            for path in catalogue.inputs_of(source):
-                if arrays.is_beside(output, path):
-                    raise ValueError(f"B {output}: would replace {path}, which is read by this command: expected another name")
+        return
+    inputs = catalogue.inputs_of(look) if overwrite else [look.path]
+    files.check_outputs([("B", output)], inputs, overwrite)
+    if Look(output).suffix in arrays.FORMAT.suffixes:
+        replaced = next((path for path in inputs if arrays.is_beside(output, path)), None)
+        if replaced is not None:
+            raise ValueError(f"B {output}: would replace {replaced}, which is read by this command: expected another name")
 
 
-def _streamed(arguments: argparse.Namespace, progress: Progress) -> int:
+def _streamed(look: Look, arguments: argparse.Namespace, progress: Progress) -> int:
     """From one of this project's containers to another, a block of pings at a time."""
     output = arguments.output
-    _require_place(arguments.file, output, arguments.overwrite)
+    _require_place(look, output, arguments.overwrite)
     if not io.is_store(output):
         container(output)
     with open_echoes(arguments.file) as store:

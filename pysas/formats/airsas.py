@@ -49,8 +49,8 @@ def _read(path: str, channel: str | None) -> Item:
     fs, delay = numbers[_FS], numbers[_DELAY] / numbers[_FS]
     with files.opened(path) as stream, io.named(path), opened_groups(stream) as groups:
         track = groups.group("na", ["position", "temperature"])
-        position = _row(track, "position")
-        temperature = _floats(track, "temperature")
+        position = track.row("position")
+        temperature = track.reals("temperature")
         if temperature.shape[-1:] != position.shape:
             found = f"found shape {temperature.shape}, expected (sensor, ping={position.size})"
             raise ValueError(f"na/temperature: {found}, MATLAB's [ping, sensor]")
@@ -95,21 +95,8 @@ def _samples(groups: Groups, channels: list[int], pings: int) -> Array:
     return samples
 
 
-def _floats(file: File, name: str) -> FloatArray:
-    if name not in file.fields or file.fields[name][1].kind not in "iuf":
-        raise ValueError(f"{name}: missing, expected real numbers")
-    return file.read(name).astype(np.float64)
-
-
-def _row(file: File, name: str) -> FloatArray:
-    array = _floats(file, name)
-    if array.size == 0 or array.size != max(array.shape, default=1):
-        raise ValueError(f"{name}: found shape {array.shape}, expected one row")
-    return array.reshape(-1)
-
-
 def _one(file: File, name: str) -> float:
-    array = _floats(file, name)
+    array = file.reals(name)
     if array.size != 1:
         raise ValueError(f"{name}: found shape {array.shape}, expected one number")
     return float(array.reshape(-1)[0])
@@ -189,12 +176,12 @@ def _read_arrays(path: str, file: File) -> Recording:
         if "speed_of_sound" in file.fields:
             medium["c"] = _one(file, "speed_of_sound")
         elif "temps" in file.fields:
-            medium["air_temperature"] = _row(file, "temps")
+            medium["air_temperature"] = file.row("temps")
         else:
             raise ValueError("speed_of_sound: missing, expected it (m/s, one number) or temps (degrees Celsius, one a ping)")
         fs, *sweep = (_one(file, name) for name in PICKLED[3:])
         return _recording(
-            file.read("wfm_data"), fs, *sweep, tx=_floats(file, "tx_coords"), rx=_floats(file, "rx_coords"), **medium,
+            file.read("wfm_data"), fs, *sweep, tx=file.reals("tx_coords"), rx=file.reals("rx_coords"), **medium,
             attrs={"title": Path(path).stem, "source": "AirSAS (A. W. Reed et al.)"},
         )  # fmt: skip
 

@@ -38,10 +38,10 @@ def recognised(look: Look) -> Format | None:
     return next((known for known in FORMATS if known.sniff(look)), None)
 
 
-def inputs_of(path: str) -> list[str]:
+def inputs_of(look: Look) -> list[str]:
     """A file, and those that reading it reads too."""
-    known = recognised(Look(path))
-    return [path, *(known.beside(path) if known is not None else [])]
+    known = recognised(look)
+    return [look.path, *(known.beside(look.path) if known is not None else [])]
 
 
 def by_name(path: str, kind: type) -> Format:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pysas._checks import FloatArray
+
 Array = npt.NDArray[Any]
 
 KINDS = {  # what an error says, and dtypes without byte order
@@ -118,6 +120,19 @@ class File:
             return value.decode("utf-8") if isinstance(value, bytes) else str(value)
         except UnicodeDecodeError:
             raise ValueError(f"{name}: found {value!r:.60}, expected UTF-8 text") from None
+
+    def reals(self, name: str) -> FloatArray:
+        """Real numbers of any type, as float64."""
+        if name not in self.fields or self.fields[name][1].kind not in "iuf":
+            raise ValueError(f"{name}: missing, expected real numbers")
+        return self.read(name).astype(np.float64)
+
+    def row(self, name: str) -> FloatArray:
+        """The same (n,), of one axis that is longer than 1 at most: files of MATLAB have no axis alone."""
+        array = self.reals(name)
+        if array.size == 0 or array.size != max(array.shape, default=1):
+            raise ValueError(f"{name}: found shape {array.shape}, expected one row")
+        return array.reshape(-1)
 
     def together(self, names: tuple[str, ...]) -> bool:
         """Whether a group of fields is there; part of one is an error."""

@@ -92,11 +92,11 @@ def _echoes(path: str, beside: str, config: Table) -> Echoes:
             if name not in file.fields:
                 raise ValueError(f"{name}: missing, expected {', '.join(_ARRAYS)} and baseband_frequency")
         shape, dtype = file.fields["pressure"]
-        t, start = (_row(file, name) for name in _ARRAYS[1:])
+        t, start = (file.row(name) for name in _ARRAYS[1:])
         if dtype.kind != "c" or len(shape) != 3 or (shape[0], shape[2]) != (start.size, t.size):
             wanted = f"complex (ping={start.size}, receiver, sample={t.size})"
             raise ValueError(f"pressure: found {dtype} of shape {shape}, expected {wanted}")
-        fc = float(_row(file, "baseband_frequency")[0])
+        fc = float(file.row("baseband_frequency")[0])
         fs = _rate(t)
         with io.named(beside):
             fields = _geometry(config, start, shape[1])
@@ -106,15 +106,6 @@ def _echoes(path: str, beside: str, config: Table) -> Echoes:
             attrs={"title": Path(path).stem, "source": "openSTB-simulator"} | _truth(config), **fields,
         )  # fmt: skip
         return echoes.replace(data=file.read("pressure"))
-
-
-def _row(file: File, name: str) -> FloatArray:
-    if name not in file.fields or file.fields[name][1].kind not in "iuf":
-        raise ValueError(f"{name}: missing, expected real numbers")
-    array = file.read(name).astype(np.float64)
-    if array.size == 0 or array.size != max(array.shape, default=1):  # .mat has no axis alone
-        raise ValueError(f"{name}: found shape {array.shape}, expected one row")
-    return array.reshape(-1)
 
 
 def _rate(t: FloatArray) -> float:
