@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     else:
         target.draw(output, item, arguments.db, arguments.overwrite)
     shape = list(item.data.shape)
-    text = f"{output}: {target.title}, {' x '.join(map(str, shape))}"
+    text = f"{output}: {target.name}, {' x '.join(map(str, shape))}"
     values = {"output": output, "format": target.name, "shape": shape}
     print(json.dumps(values) if arguments.json else text)
     return 0

@@ -159,7 +159,7 @@ class EchoStore:
             raise TypeError(f"pings={pings!r:.60}: expected a slice, such as slice(100, 200)")
         first, last, step = pings.indices(self.n_ping)
         if step != 1 or first >= last:
-            raise ValueError(f"pings={pings}: expected some of {self.n_ping} that follow each other")
+            raise ValueError(f"pings {pings.start}:{pings.stop}: expected some of {self.n_ping} that follow each other")
         return first, last
 
     def close(self) -> None:
