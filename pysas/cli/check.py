@@ -23,7 +23,7 @@ def _add_arguments(sub: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace, progress: Progress) -> int:
     """1 if anything fails."""
     path = arguments.file
-    if own.is_store(path):
+    if own.is_own_store(path):
         own.FORMAT.require_channel(path, arguments.channel)
         findings = _of_store(path)
     else:

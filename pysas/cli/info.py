@@ -36,7 +36,7 @@ def _run(arguments: argparse.Namespace, progress: Progress) -> int:
         values, text = _of_images(arguments.file)
         print(json.dumps(values) if arguments.json else text)
         return 0
-    if own.is_store(arguments.file):
+    if own.is_own_store(arguments.file):
         own.FORMAT.require_channel(arguments.file, arguments.channel)
         values, text = _of_store(arguments.file, arguments.tol, arguments.plan)
         print(json.dumps(values) if arguments.json else text)

@@ -111,10 +111,7 @@ def _table(path: str, name: str) -> tuple[str, list[list[str]]]:
     if not target.is_file():
         where = f'expected it in the folder "{BESIDE}" beside the folder "scenes" of the file, as published'
         raise FileNotFoundError(f"{path}: needs {target}, which is missing: {where}")
-    with files.opened(target) as file:
-        content = file.read(_MOST_TABLE + 1)
-    if len(content) > _MOST_TABLE:
-        raise ValueError(f"{target}: found more than {_MOST_TABLE} bytes, expected a small table")
+    content = files.small(target, _MOST_TABLE, "a small table")
     try:
         rows = list(csv.reader(streams.StringIO(content.decode("utf-8-sig"), newline="")))
     except (UnicodeDecodeError, csv.Error) as error:

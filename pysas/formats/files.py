@@ -44,6 +44,15 @@ def opened(path: str | os.PathLike[str]) -> IO[bytes]:
     raise ValueError(f"{text}: expected a regular file, found a pipe, a device or the like")
 
 
+def small(path: str | os.PathLike[str], most: int, what: str) -> bytes:
+    """The content of a regular file of at most `most` bytes; a larger one is an error that says `what` was expected."""
+    with opened(path) as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"{name(path)}: found more than {most} bytes, expected {what}")
+    return content
+
+
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[IO[bytes]]:
     """A new file that takes the place of `path` when the block ends, and is gone when the block fails.

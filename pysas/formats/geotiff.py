@@ -21,6 +21,7 @@ _DRAFT = {
     "driver": "GTiff", "count": 1, "tiled": True, "blockxsize": _TILE, "blockysize": _TILE, "compress": "deflate", "zlevel": 1,
     "bigtiff": "if_safer", "sparse_ok": True,
 }  # fmt: skip
+_BYTES = {"nodata": 0, "predictor": 2}
 
 
 def write(
@@ -43,8 +44,8 @@ def write_whole(
     data: npt.NDArray[Any],
     affine: tuple[float, float, float, float, float, float],
     tags: Mapping[str, str],
-    band: Mapping[str, Any],
     *,
+    coding: Decibels | None = None,
     mask: npt.NDArray[np.bool_] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -52,17 +53,16 @@ def write_whole(
 
     Parameters
     ----------
-    data : complex or uint8
-        Bytes: 0 where there are none.
+    data : complex, or uint8 of `coding`
     affine : (a, b, c, d, e, f)
         The centre of pixel (row, column) is (a column + b row + c, d column + e row + f).
     tags : of str
-    band : dict
-        "description", and what `described` says of bytes.
+        What goes with it, beside what `coding` says.
+    coding : Decibels, optional
+        What bytes are.
     mask : bool (row, column), optional
         False: no data there.
     """
-    bytes_ = data.dtype == np.uint8
     with _replacing(path, overwrite) as folder:
         import rasterio
 
@@ -70,28 +70,26 @@ def write_whole(
         transform = rasterio.Affine(a, b, c - (a + b) / 2, d, e, f - (d + e) / 2)  # of the first pixel's corner
         rows, columns = data.shape
         form = _DRAFT | {"width": columns, "height": rows, "dtype": data.dtype.name, "transform": transform}
-        form |= {"nodata": 0, "predictor": 2} if bytes_ else {}
+        form |= {} if coding is None else _BYTES
         with rasterio.open(folder / "draft.tif", "w", **form) as draft:
             draft.write(data, 1)
             if mask is not None:
                 draft.write_mask(mask)
             draft.update_tags(**tags, AREA_OR_POINT="Area")
-            draft.set_band_description(1, band["description"])
-            if bytes_:
-                draft.units, draft.scales, draft.offsets = band["units"], band["scales"], band["offsets"]
+            if coding is None:
+                draft.set_band_description(1, "complex image")
+            else:
+                _describe(draft, coding)
         how = {"predictor": "yes", "overview_resampling": "average", "overview_compress": "deflate"}
         # means of phases that turn within a pixel are nothing, and neither is a predictor of such numbers
-        _optimise(folder / "draft.tif", folder, **(how if bytes_ else {"overviews": "none"}))
+        _optimise(folder / "draft.tif", folder, **({"overviews": "none"} if coding is None else how))
 
 
-def described(coding: Decibels) -> dict[str, Any]:
-    """What a band of bytes is."""
-    return {
-        "description": "dB relative to the reference",
-        "units": ("dB",),
-        "scales": (coding.scale,),
-        "offsets": (coding.offset,),
-    }
+def _describe(target: Any, coding: Decibels) -> None:
+    """Say of an open file of bytes what they are."""
+    target.update_tags(**coding.tags)
+    target.set_band_description(1, "dB relative to the reference")
+    target.units, target.scales, target.offsets = ("dB",), (coding.scale,), (coding.offset,)
 
 
 @contextlib.contextmanager
@@ -155,7 +153,7 @@ def _coded(path: Path, draft: Path, coding: Decibels) -> Path:
     import rasterio
 
     with rasterio.open(draft) as source:
-        profile = source.profile | _DRAFT | {"dtype": "uint8", "nodata": 0, "predictor": 2}
+        profile = source.profile | _DRAFT | {"dtype": "uint8"} | _BYTES
         with rasterio.open(path, "w", **profile) as target:
             for row in range(0, source.height, WINDOW):
                 for column in range(0, source.width, WINDOW):
@@ -164,10 +162,8 @@ def _coded(path: Path, draft: Path, coding: Decibels) -> Path:
                     values = coding.of(source.read(1, window=window))
                     if values.any():
                         target.write(values, 1, window=window)
-            target.update_tags(**source.tags(), reference=repr(coding.reference), db=repr(coding.span))
-            band = described(coding)
-            target.set_band_description(1, band["description"])
-            target.units, target.scales, target.offsets = band["units"], band["scales"], band["offsets"]
+            target.update_tags(**source.tags())
+            _describe(target, coding)
     return path
 
 

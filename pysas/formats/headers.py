@@ -33,10 +33,7 @@ def read_header(path: str) -> dict[str, Any]:
     OSError, ImportError
         From the file system; YAML without PyYAML.
     """
-    with files.opened(path) as file:
-        content = file.read(MOST + 1)
-    if len(content) > MOST:
-        raise ValueError(f"{path}: found more than {MOST} bytes, expected a header")
+    content = files.small(path, MOST, "a header")
     loads = json_of if Path(path).suffix.lower() == ".json" else _yaml_loads()
     try:
         value = loads(content.decode("utf-8-sig"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from pysas.formats import geotiff, image_maps
@@ -14,15 +12,13 @@ from pysas.model.image import Image
 def _write(path: str, image: Image, overwrite: bool) -> None:
     made = image_maps.of(path, image)
     data = np.ascontiguousarray(made.data, made.data.dtype.newbyteorder("="))
-    about: dict[str, Any] = {"description": "complex image"}
-    geotiff.write_whole(path, data, made.affine, made.tags, about, mask=made.mask, overwrite=overwrite)
+    geotiff.write_whole(path, data, made.affine, made.tags, mask=made.mask, overwrite=overwrite)
 
 
 def _draw(path: str, image: Image, span: float, overwrite: bool) -> None:
     made = image_maps.of(path, image)
     coding, data = made.decibels(span)
-    tags = made.tags | {"reference": repr(coding.reference), "db": repr(coding.span)}
-    geotiff.write_whole(path, data, made.affine, tags, geotiff.described(coding), overwrite=overwrite)
+    geotiff.write_whole(path, data, made.affine, made.tags, coding=coding, overwrite=overwrite)
 
 
 FORMAT = Format(

@@ -24,10 +24,9 @@ def _draw(path: str, image: Image, span: float, overwrite: bool) -> None:
     files.check_outputs([("picture", path), ("its world file", world)], [], overwrite)
     a, b, c, d, e, f = made.affine
     lines = "".join(f"{number!r}\n" for number in (a, d, b, e, c, f))
-    tags = {"reference": repr(coding.reference), "db": repr(coding.span)}
     # both are complete before one of them takes its name
     with files.replacing(path, overwrite=overwrite) as picture, files.replacing(world, overwrite=overwrite) as places:
-        picture.write(_png(data, made.tags | tags))
+        picture.write(_png(data, made.tags | coding.tags))
         places.write(lines.encode())
 
 

@@ -66,10 +66,7 @@ def _beside(path: str) -> list[str]:
 
 
 def _configuration(path: str) -> Table:
-    with files.opened(path) as file:
-        content = file.read(_MOST_TEXT + 1)
-    if len(content) > _MOST_TEXT:
-        raise ValueError(f"{path}: found more than {_MOST_TEXT} bytes, expected a configuration")
+    content = files.small(path, _MOST_TEXT, "a configuration")
     try:
         config = tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -266,11 +263,8 @@ class _Group(File):
     """The simulator's own Zarr v3 group; its chunks have no checksums."""
 
     def __init__(self, path: str) -> None:
-        zarr = stores.library()
         self._folder = Path(path).resolve()
-        stores.require_header(self._folder)
-        with blamed("zarr.json", "no Zarr v3 group"):
-            group = zarr.open_group(stores.local(self._folder, read_only=True), mode="r", zarr_format=3, use_consolidated=False)
+        group = stores.open_group(self._folder)
         self.fields, self.pairs, self._followed = {}, {}, {}
         self._arrays: dict[str, Any] = {}
         self._header = dict(group.attrs)

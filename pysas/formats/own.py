@@ -12,7 +12,7 @@ def _sniff(look: Look) -> bool:
     return "schema" in look.entries
 
 
-def is_store(path: str) -> bool:
+def is_own_store(path: str) -> bool:
     """Whether a file of this name is a Zarr group of this project's, whose pings can be read some at a time."""
     return io.is_store(path) and _sniff(Look(path))
 

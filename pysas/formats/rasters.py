@@ -98,6 +98,11 @@ class Decibels:
         return self.span / 254
 
     @property
+    def tags(self) -> dict[str, str]:
+        """What a file of such bytes says of them."""
+        return {"reference": repr(self.reference), "db": repr(self.span)}
+
+    @property
     def offset(self) -> float:
         """dB relative to the reference that 0 would stand for."""
         return -self.span - self.scale

@@ -59,16 +59,13 @@ class Store(File):
     """
 
     def __init__(self, folder: str) -> None:
-        zarr = library()
         self._folder = Path(os.path.realpath(folder))
         self._opened = os.stat(self._folder)
         self.fields, self.pairs, self._followed = {}, {}, {}
         self._arrays: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
         self.counts, self.chunk = False, 1
-        require_header(self._folder)
-        with blamed("zarr.json", "no Zarr v3 group"):
-            group = zarr.open_group(local(self._folder, read_only=True), mode="r", zarr_format=3, use_consolidated=False)
+        group = open_group(self._folder)
         header = dict(group.attrs)
         require_sum(header)
         for name, value in header.items():
@@ -206,6 +203,14 @@ def sum_of(header: Mapping[str, Any]) -> int:
 def require_sum(header: Mapping[str, Any], where: str = "zarr.json") -> None:
     if "crc32" in header and header["crc32"] != sum_of(header):
         raise ValueError(f"{where}: damaged: found other attributes than were written, by their CRC-32")
+
+
+def open_group(folder: Path) -> Any:
+    """A Zarr v3 group for reading, whose header was looked at first."""
+    zarr = library()
+    require_header(folder)
+    with blamed("zarr.json", "no Zarr v3 group"):
+        return zarr.open_group(local(folder, read_only=True), mode="r", zarr_format=3, use_consolidated=False)
 
 
 def require_header(folder: Path) -> None:
